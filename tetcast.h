@@ -925,13 +925,15 @@ typedef struct tetcast_render_stats { /* added to by calls that succeed, but for
    box_min, box_max  world; may be equal
    view    from the object towards the eye, any length but 0; NULL: from the front, a little from above and the right
    width, height  of the picture; 0: as if it were square
-   Errors: INVALID_ARG (fov_y, ortho_height < 0, a box or view that is none, NaN). O(1). */
+   Errors: INVALID_ARG (fov_y, ortho_height < 0, a box or view that is none, NaN; a box for which eye, at or the height
+   are beyond what numbers hold). O(1). */
 TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const double box_min[3], const double box_max[3],
                                               const double view[3], uint32_t width, uint32_t height);
 
 /* The ray through point (x, y) of the picture plane, in pixels from its upper left corner: (i+0.5, j+0.5) is the
    centre of pixel (i, j); it need not be inside. dir is a unit vector, t_min and t_max are 0.
-   Errors: INVALID_ARG (height 0, x or y not finite, a camera that is none; eye equals at): *out_ray is 0 then. O(1). */
+   Errors: INVALID_ARG (height 0, x or y not finite or too far out, a camera that is none; eye equals at): *out_ray is 0
+   then. O(1). */
 TETCAST_DEF tetcast_result tetcast_camera_ray(const tetcast_camera *camera, uint32_t width, uint32_t height, double x,
                                               double y, tetcast_ray *out_ray);
 
@@ -1412,9 +1414,9 @@ typedef struct tetcast_clip_desc {
     uint32_t _begin_zero;
     tetcast_env env;
     const tetcast_clip_plane *planes;
-    size_t plane_count;
+    size_t plane_count;               /* below 2^24 */
     const tetcast_clip_body *bodies;  /* one after the other */
-    size_t body_count;
+    size_t body_count;                /* below 2^24 */
     uint32_t _end_zero;
 } tetcast_clip_desc;
 
@@ -2911,18 +2913,6 @@ struct tetcast_mesh {
     tetcast_report report;
 };
 
-TETCASTI_INLINE tetcasti_raw tetcasti_mesh_raw(const tetcast_mesh *mesh) { /* .tet, .neighbour: NULL when dropped */
-    tetcasti_raw r;
-    r.tet = (const uint32_t (*)[4])mesh->tet;
-    r.neighbour = (const uint32_t (*)[4])mesh->neighbour;
-    r.vertex = mesh->vertex;
-    r.face = mesh->face;
-    r.cell_count = mesh->cell_count;
-    r.vertex_count = mesh->vertex_count;
-    r.face_count = mesh->face_count;
-    return r;
-}
-
 /* ---- the traversal interface ----
    A walker is an inline function with `kind` as a constant argument; it calls
        d    = tetcasti_enter(cells, kind, cell, prev, a, b, c, &node)          the fourth vertex
@@ -3290,23 +3280,25 @@ static void tetcasti_wide_add(tetcasti_wide *acc, int64_t a, int64_t b, int64_t 
     }
 }
 
-/* Six times the signed volume, local units; its sign and its being zero are exact. */
-static double tetcasti_volume6(const tetcasti_vertex *a, const tetcasti_vertex *b, const tetcasti_vertex *c,
-                               const tetcasti_vertex *d) {
-    double u[3], v[3], w[3], m[6], det, size;
-    int64_t p[3], q[3], r[3];
-    tetcasti_wide sum;
-    uint32_t i, any = 0;
+/* Edges from a to the others; returns their determinant: six times the signed volume, rounded. Local units. */
+TETCASTI_INLINE double tetcasti_edges(const tetcasti_vertex *a, const tetcasti_vertex *b, const tetcasti_vertex *c,
+                                      const tetcasti_vertex *d, double u[3], double v[3], double w[3]) {
     u[0] = (double)b->x - (double)a->x; u[1] = (double)b->y - (double)a->y; u[2] = (double)b->z - (double)a->z;
     v[0] = (double)c->x - (double)a->x; v[1] = (double)c->y - (double)a->y; v[2] = (double)c->z - (double)a->z;
     w[0] = (double)d->x - (double)a->x; w[1] = (double)d->y - (double)a->y; w[2] = (double)d->z - (double)a->z;
-    m[0] = v[1] * w[2]; m[1] = v[2] * w[1];
-    m[2] = v[2] * w[0]; m[3] = v[0] * w[2];
-    m[4] = v[0] * w[1]; m[5] = v[1] * w[0];
-    det = u[0] * (m[0] - m[1]) + u[1] * (m[2] - m[3]) + u[2] * (m[4] - m[5]);
-    size = tetcasti_abs(u[0]) * (tetcasti_abs(m[0]) + tetcasti_abs(m[1])) +
-           tetcasti_abs(u[1]) * (tetcasti_abs(m[2]) + tetcasti_abs(m[3])) +
-           tetcasti_abs(u[2]) * (tetcasti_abs(m[4]) + tetcasti_abs(m[5]));
+    return u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0]);
+}
+
+/* Six times the signed volume, local units; its sign and its being zero are exact. */
+static double tetcasti_volume6(const tetcasti_vertex *a, const tetcasti_vertex *b, const tetcasti_vertex *c,
+                               const tetcasti_vertex *d) {
+    double u[3], v[3], w[3], det = tetcasti_edges(a, b, c, d, u, v, w), size;
+    int64_t p[3], q[3], r[3];
+    tetcasti_wide sum;
+    uint32_t i, any = 0;
+    size = tetcasti_abs(u[0]) * (tetcasti_abs(v[1] * w[2]) + tetcasti_abs(v[2] * w[1])) +
+           tetcasti_abs(u[1]) * (tetcasti_abs(v[2] * w[0]) + tetcasti_abs(v[0] * w[2])) +
+           tetcasti_abs(u[2]) * (tetcasti_abs(v[0] * w[1]) + tetcasti_abs(v[1] * w[0]));
     if (tetcasti_abs(det) > 1e-15 * size) return det; /* the rounding of seven operations cannot change the sign */
     for (i = 0; i < 3; i++) { /* multiples of 2^-18 below 2^31: integers of 49 bits */
         p[i] = (int64_t)(u[i] * 262144.0);
@@ -4057,11 +4049,9 @@ static int tetcasti_import_order(tetcasti_import *m) { /* 0: no memory */
    these need no branches. */
 TETCASTI_INLINE double tetcasti_volume6_clear(const tetcasti_vertex *a, const tetcasti_vertex *b,
                                               const tetcasti_vertex *c, const tetcasti_vertex *d) {
-    double u0 = (double)b->x - (double)a->x, u1 = (double)b->y - (double)a->y, u2 = (double)b->z - (double)a->z;
-    double v0 = (double)c->x - (double)a->x, v1 = (double)c->y - (double)a->y, v2 = (double)c->z - (double)a->z;
-    double w0 = (double)d->x - (double)a->x, w1 = (double)d->y - (double)a->y, w2 = (double)d->z - (double)a->z;
-    double det = u0 * (v1 * w2 - v2 * w1) + u1 * (v2 * w0 - v0 * w2) + u2 * (v0 * w1 - v1 * w0);
-    double size = (u0 * u0 + u1 * u1 + u2 * u2) * (v0 * v0 + v1 * v1 + v2 * v2) * (w0 * w0 + w1 * w1 + w2 * w2);
+    double u[3], v[3], w[3], det = tetcasti_edges(a, b, c, d, u, v, w);
+    double size = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) *
+                  (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
     return det * det > 3e-29 * size ? det : 0.0;
 }
 
@@ -5095,8 +5085,16 @@ TETCAST_DEF void tetcast_mesh_destroy(tetcast_mesh *mesh) {
     tetcasti_free(&mem, mesh);
 }
 
+static void tetcasti_mesh_box(const tetcast_mesh *mesh, double lo[3], double hi[3]) { /* world */
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = mesh->origin[a] + (double)mesh->box.lo[a] * mesh->unit;
+        hi[a] = mesh->origin[a] + (double)mesh->box.hi[a] * mesh->unit;
+    }
+}
+
 TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_info *info) {
-    uint32_t i, a;
+    uint32_t i;
     if (info == NULL) return;
     memset(info, 0, sizeof *info);
     if (mesh == NULL) return;
@@ -5106,10 +5104,7 @@ TETCAST_DEF void tetcast_mesh_get_info(const tetcast_mesh *mesh, tetcast_mesh_in
     info->field_count = mesh->field_count;
     info->active_field = mesh->active;
     info->cells = (tetcast_cells)mesh->cells.kind;
-    for (a = 0; a < 3; a++) {
-        info->box_min[a] = mesh->origin[a] + (double)mesh->box.lo[a] * mesh->unit;
-        info->box_max[a] = mesh->origin[a] + (double)mesh->box.hi[a] * mesh->unit;
-    }
+    tetcasti_mesh_box(mesh, info->box_min, info->box_max);
     if (mesh->cells.kind == TETCAST_CELLS_TET8) info->escapes = mesh->cells.side_bytes / sizeof(tetcasti_tet16);
     info->connectivity_bytes = mesh->cells.data_bytes + mesh->cells.side_bytes + mesh->cells.first_bytes;
     info->vertex_bytes = (uint64_t)mesh->vertex_count * sizeof *mesh->vertex;
@@ -5404,17 +5399,13 @@ TETCAST_DEF tetcast_result tetcast_mesh_check(const tetcast_mesh *mesh, const te
 /* Gradient of the value in a tetrahedron, times six times its volume (which may be 0); local units. */
 static void tetcasti_cell_gradient(const tetcasti_vertex *a, const tetcasti_vertex *b, const tetcasti_vertex *c,
                                    const tetcasti_vertex *d, double g[3], double *volume6) {
-    double u[3], v[3], w[3], su = (double)b->s - (double)a->s, sv = (double)c->s - (double)a->s,
-        sw = (double)d->s - (double)a->s, det;
+    double su = (double)b->s - (double)a->s, sv = (double)c->s - (double)a->s, sw = (double)d->s - (double)a->s;
+    double u[3], v[3], w[3], det = tetcasti_edges(a, b, c, d, u, v, w);
     uint32_t i;
-    u[0] = (double)b->x - (double)a->x; u[1] = (double)b->y - (double)a->y; u[2] = (double)b->z - (double)a->z;
-    v[0] = (double)c->x - (double)a->x; v[1] = (double)c->y - (double)a->y; v[2] = (double)c->z - (double)a->z;
-    w[0] = (double)d->x - (double)a->x; w[1] = (double)d->y - (double)a->y; w[2] = (double)d->z - (double)a->z;
     for (i = 0; i < 3; i++) {
         uint32_t j = i == 2 ? 0 : i + 1, k = i == 0 ? 2 : i - 1;
         g[i] = su * (v[j] * w[k] - v[k] * w[j]) + sv * (w[j] * u[k] - w[k] * u[j]) + sw * (u[j] * v[k] - u[k] * v[j]);
     }
-    det = u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0]);
     *volume6 = tetcasti_abs(det);
     if (det < 0.0)
         for (i = 0; i < 3; i++) g[i] = -g[i];
@@ -12016,9 +12007,6 @@ TETCASTI_INLINE int tetcasti_cell_meet(const tetcasti_ray *r, const tetcasti_ver
 #define TETCASTI_LIST_ROOM 16u
 #define TETCASTI_SLOT (TETCASTI_BATCH + 4u) /* 4 more: not all slots of a pixel in the same set of the cache */
 #define TETCASTI_DEPTHS 2048u   /* steps of depth by which the cells of a tile are ordered */
-#define TETCASTI_KEEP_ALL 0u    /* what happens to a fragment when it comes: it goes into a list by depth, */
-#define TETCASTI_KEEP_NONE 1u   /* straight into the sum: the order is that of the cells (for comparisons), */
-#define TETCASTI_KEEP_SOME 2u   /* into a list of keep_room, and the nearest one of a full list into the sum */
 
 typedef struct tetcasti_painter { /* zeroed */
     const tetcasti_view *view;
@@ -12030,7 +12018,6 @@ typedef struct tetcasti_painter { /* zeroed */
     float (*list)[4];               /* z0, z1, s0, s1 [slot * TETCASTI_SLOT + pixel]: neighbours lie together */
     uint32_t *list_cell;            /* NULL, or the cell of each */
     uint32_t room, full;            /* full: not 0 when a list has no room left */
-    uint32_t mode, keep_room;
     uint32_t failed, open;          /* open: pixels whose rays go on */
     uint32_t live[TETCASTI_TILE];   /* one bit a pixel of a row */
     uint32_t x0, y0, width, height;
@@ -12042,8 +12029,10 @@ typedef struct tetcasti_painter { /* zeroed */
     void (*open_cells)(struct tetcasti_painter *p, const tetcasti_entry *e, uint32_t n); /* NULL, or sets splat up */
     void (*paint)(struct tetcasti_painter *p, uint32_t cell);
     void (*run)(struct tetcasti_painter *p, float until);
+    /* NULL: a fragment goes into the list by depth. Else what is done with it instead, to compare with */
+    void (*put)(struct tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f);
     uint64_t tests, exact;          /* pixels that were looked at, and those by exact signs */
-    uint64_t wrong;                 /* fragments that came too late (KEEP_NONE, KEEP_SOME) */
+    uint64_t wrong;                 /* fragments that came too late, where `put` is given */
     uint16_t count[TETCASTI_BATCH]; /* of fragments in a list */
     float cursor[TETCASTI_BATCH];   /* as tetcasti_seen.z: up to here everything is in the sum */
     float value[TETCASTI_BATCH];    /* there */
@@ -12138,7 +12127,7 @@ static void tetcasti_fragment_add(tetcasti_painter *p, uint32_t i, const tetcast
         return;
     }
     b->steps[i]++;
-    if (p->mode != TETCASTI_KEEP_ALL && f->z1 > f->z0 && f->z0 < p->cursor[i] - p->join_z) {
+    if (p->put != NULL && f->z1 > f->z0 && f->z0 < p->cursor[i] - p->join_z) {
         p->wrong++; /* drawn all the same */
         gap = 0;
         cut[0] = f->z0;
@@ -12265,22 +12254,9 @@ TETCASTI_INLINE void tetcasti_list_put(tetcasti_painter *p, uint32_t i, const te
     if (p->list_cell != NULL) p->list_cell[at] = f->cell;
 }
 
-/* The same for orders that are compared with: the nearest fragment goes when there are enough. */
-static void tetcasti_list_put_some(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
-    tetcasti_fragment first;
-    if (p->mode == TETCASTI_KEEP_SOME) {
-        tetcasti_list_put(p, i, f);
-        if (p->count[i] < p->keep_room) return;
-        first = tetcasti_list_get(p, i);
-        f = &first;
-    }
-    tetcasti_fragment_add(p, i, f);
-    if (p->mode == TETCASTI_KEEP_SOME) tetcasti_list_drop(p, i, 1, p->count[i] - 1u);
-}
-
 TETCASTI_INLINE void tetcasti_paint_put(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
-    if (p->mode == TETCASTI_KEEP_ALL) tetcasti_list_put(p, i, f);
-    else tetcasti_list_put_some(p, i, f);
+    if (p->put == NULL) tetcasti_list_put(p, i, f);
+    else p->put(p, i, f);
 }
 
 /* Pixel i by exact signs. */
@@ -12878,9 +12854,7 @@ static void tetcasti_painter_close(tetcasti_painter *p) {
     tetcasti_free(p->mem, p);
 }
 
-/* mode, keep: see TETCASTI_KEEP_ALL. */
-static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti_view *v, tetcasti_batch *b,
-                                               uint32_t mode, uint32_t keep) {
+static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti_view *v, tetcasti_batch *b) {
     tetcasti_painter *p = (tetcasti_painter *)tetcasti_alloc_zero(mem, 1, sizeof *p);
     const tetcasti_field *field;
     if (p == NULL) return NULL;
@@ -12888,9 +12862,7 @@ static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti
     p->view = v;
     p->scene = v->scene;
     p->b = b;
-    p->mode = mode;
-    p->keep_room = keep;
-    p->room = keep + 1 > TETCASTI_LIST_ROOM ? keep + 1 : TETCASTI_LIST_ROOM;
+    p->room = TETCASTI_LIST_ROOM;
     p->list = (float (*)[4])tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_SLOT, sizeof *p->list);
     if (v->scene->any)
         p->list_cell = (uint32_t *)tetcasti_alloc_zero(mem, (size_t)p->room * TETCASTI_SLOT, sizeof *p->list_cell);
@@ -12901,11 +12873,11 @@ static tetcasti_painter *tetcasti_painter_open(tetcasti_mem *mem, const tetcasti
     p->run = tetcasti_lists_run;
     p->paint = v->scene->fma ? tetcasti_paint_fma : tetcasti_paint_plain;
 #if TETCASTI_AVX2
-    if (v->scene->isa >= TETCAST_ISA_AVX2 && mode == TETCASTI_KEEP_ALL) {
+    if (v->scene->isa >= TETCAST_ISA_AVX2) {
         p->open_cells = tetcasti_splats_open8;
         p->paint = v->scene->any ? tetcasti_paint8_cells : tetcasti_paint8_plain;
+        if (!v->scene->any) p->run = tetcasti_lists_run8;
     }
-    if (v->scene->isa >= TETCAST_ISA_AVX2 && mode == TETCASTI_KEEP_ALL && !v->scene->any) p->run = tetcasti_lists_run8;
 #endif
     p->join_z = (float)(4.0 * TETCASTI_BLUR);
     if (v->scene->mesh->field_count != 0) {
@@ -13024,8 +12996,7 @@ static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double
         p->ahead[k - 1] = p->ahead[k] < p->ahead[k - 1] ? p->ahead[k] : p->ahead[k - 1];
     for (k = 0; k < n && p->open != 0; k++, e++) {
         if (p->full) { /* the other cells lie behind this */
-            if (p->mode == TETCASTI_KEEP_ALL)
-                p->run(p, p->ahead[tetcasti_depth_step(e->z - first, scale)] - p->join_z);
+            if (p->put == NULL) p->run(p, p->ahead[tetcasti_depth_step(e->z - first, scale)] - p->join_z);
             if (p->full && !tetcasti_lists_grow(p)) return;
         }
         if (n - k > 22) { /* cells of a tile are far from each other in memory: a fifth of the time */
@@ -13052,6 +13023,10 @@ static void tetcasti_tile_paint(tetcasti_painter *p, uint32_t tile, const double
    --------------------------------------------------------------------------- */
 
 /* ---- camera ---- */
+
+TETCASTI_INLINE int tetcasti_finite3(const double v[3]) { /* each of them: their sum may overflow */
+    return tetcasti_finite(v[0]) && tetcasti_finite(v[1]) && tetcasti_finite(v[2]);
+}
 
 static void tetcasti_cross(const double a[3], const double b[3], double out[3]) {
     out[0] = a[1] * b[2] - a[2] * b[1];
@@ -13101,9 +13076,9 @@ static tetcast_result tetcasti_frame_open(const tetcast_camera *camera, uint32_t
                                           tetcasti_frame *f) {
     double tangent = tetcasti_camera_tangent(camera), pixel;
     uint32_t a;
+    if (!tetcasti_finite3(camera->eye) || !tetcasti_finite3(camera->at) || !tetcasti_finite3(camera->up))
+        return TETCAST_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++) {
-        if (!tetcasti_finite(camera->eye[a]) || !tetcasti_finite(camera->at[a]) || !tetcasti_finite(camera->up[a]))
-            return TETCAST_ERR_INVALID_ARG;
         f->eye[a] = camera->eye[a];
         f->forward[a] = camera->at[a] - camera->eye[a];
     }
@@ -13142,13 +13117,17 @@ TETCAST_DEF tetcast_result tetcast_camera_ray(const tetcast_camera *camera, uint
     r = tetcasti_frame_open(camera, width, height, &f);
     if (r != TETCAST_OK) return r;
     tetcasti_frame_ray(&f, x, y, out_ray->org, out_ray->dir);
-    (void)tetcasti_unit(out_ray->dir);
-    return TETCAST_OK;
+    if (tetcasti_finite3(out_ray->org) && tetcasti_finite3(out_ray->dir) && tetcasti_unit(out_ray->dir))
+        return TETCAST_OK;
+    memset(out_ray, 0, sizeof *out_ray);
+    return TETCAST_ERR_INVALID_ARG;
 }
 
 TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const double box_min[3], const double box_max[3],
                                               const double view[3], uint32_t width, uint32_t height) {
     double back[3], forward[3], right[3], above[3], up[3], centre[3], most[4], x, y, distance, size = 0.0, tan_x, tan_y;
+    tetcast_camera c;
+    tetcasti_frame frame;
     uint32_t a, k;
     if (camera == NULL || box_min == NULL || box_max == NULL) return TETCAST_ERR_INVALID_ARG;
     tan_y = tetcasti_camera_tangent(camera);
@@ -13196,17 +13175,31 @@ TETCAST_DEF tetcast_result tetcast_camera_fit(tetcast_camera *camera, const doub
     x = 0.5 * (most[0] - most[1]);
     y = 0.5 * (most[2] - most[3]);
     distance = size > 0.0 ? 1.04 * distance + 0.01 * size : 1.0;
-    if (camera->ortho_height != 0.0f) { /* from outside of the box */
-        camera->ortho_height = (float)(2.0 * distance * tan_y);
+    c = *camera;
+    if (c.ortho_height != 0.0f) { /* from outside of the box */
+        if (!(2.0 * distance * tan_y < 3e38)) return TETCAST_ERR_INVALID_ARG;
+        c.ortho_height = (float)(2.0 * distance * tan_y);
         distance += 2.0 * size;
     }
     for (a = 0; a < 3; a++) /* the eye is not `at` */
         distance = tetcasti_max(distance, 1e-12 * tetcasti_abs(centre[a]));
     for (a = 0; a < 3; a++) {
-        camera->at[a] = centre[a] + x * right[a] + y * above[a];
-        camera->eye[a] = camera->at[a] + distance * back[a];
+        c.at[a] = centre[a] + x * right[a] + y * above[a];
+        c.eye[a] = c.at[a] + distance * back[a];
     }
+    if (tetcasti_frame_open(&c, width, height, &frame) != TETCAST_OK ||
+        frame.parallel != (camera->ortho_height != 0.0f)) return TETCAST_ERR_INVALID_ARG;
+    *camera = c;
     return TETCAST_OK;
+}
+
+/* The frame of a camera; one whose eye is `at` is set so that it sees the box. */
+static tetcast_result tetcasti_camera_open(tetcast_camera *camera, const double lo[3], const double hi[3],
+                                           uint32_t width, uint32_t height, tetcasti_frame *frame) {
+    tetcast_result r = TETCAST_OK;
+    if (camera->eye[0] == camera->at[0] && camera->eye[1] == camera->at[1] && camera->eye[2] == camera->at[2])
+        r = tetcast_camera_fit(camera, lo, hi, NULL, width, height);
+    return r == TETCAST_OK ? tetcasti_frame_open(camera, width, height, frame) : r;
 }
 
 /* ---- batches: memory, set-up ---- */
@@ -13684,7 +13677,7 @@ static void tetcasti_task_tiles(void *ctx, uint32_t strand) {
 static void tetcasti_task_paint(void *ctx, uint32_t strand) {
     tetcasti_render *c = (tetcasti_render *)ctx;
     tetcasti_batch *b = tetcasti_batch_open(&c->mem);
-    tetcasti_painter *p = b != NULL ? tetcasti_painter_open(&c->mem, &c->view, b, TETCASTI_KEEP_ALL, 0) : NULL;
+    tetcasti_painter *p = b != NULL ? tetcasti_painter_open(&c->mem, &c->view, b) : NULL;
     double ends[2];
     if (p == NULL) {
         tetcasti_atomic_store(&c->failed, 1u);
@@ -13791,6 +13784,7 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     tetcast_render_desc d;
     tetcasti_render c;
     tetcast_result r;
+    double lo[3], hi[3];
     uint32_t a, strands;
     memset(&c, 0, sizeof c);
     r = tetcasti_desc_open(desc, &d, &c.mem);
@@ -13801,14 +13795,9 @@ TETCAST_DEF tetcast_result tetcast_render(const tetcast_render_desc *desc, const
     c.desc = &d;
     c.image = image;
     r = tetcasti_scene_open(&d, mesh, d.traverse_only ? NULL : optics, &c.scene);
-    if (r == TETCAST_OK && d.camera.eye[0] == d.camera.at[0] && d.camera.eye[1] == d.camera.at[1] &&
-        d.camera.eye[2] == d.camera.at[2]) {
-        tetcast_mesh_info info;
-        tetcast_mesh_get_info(mesh, &info);
-        r = tetcast_camera_fit(&d.camera, info.box_min, info.box_max, NULL, image->width, image->height);
-    }
     if (c.scene.optics != NULL && image->depth != NULL) c.scene.any = 1;
-    if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, image->width, image->height, &c.frame);
+    tetcasti_mesh_box(mesh, lo, hi);
+    if (r == TETCAST_OK) r = tetcasti_camera_open(&d.camera, lo, hi, image->width, image->height, &c.frame);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "render: bad camera or option");
     r = tetcasti_scene_reached(mesh, c.scene.optics, &d.env);
     if (r != TETCAST_OK || image->width == 0 || image->height == 0) return r;
@@ -16857,8 +16846,7 @@ TETCAST_DEF double tetcast_cut_pace(const tetcast_cut_info *last, double seconds
     double ratio, budget;
     if (last == NULL || !(last->samples > 0.0) || !(seconds > 0.0) || !(target > 0.0)) return 1.0;
     ratio = target / seconds;
-    if (ratio >= 1.0 && ratio <= 1.0 / 0.85) return last->samples;
-    ratio *= 0.93; /* for the middle of what is left alone */
+    ratio = ratio >= 1.0 && ratio <= 1.0 / 0.85 ? 1.0 : ratio * 0.93; /* for the middle of what is left alone */
     budget = last->samples * (ratio < 0.25 ? 0.25 : ratio > 4.0 ? 4.0 : ratio);
     return budget < 1.0 / 32.0 ? 1.0 / 32.0 : budget < 1.0 ? budget : 1.0; /* the coarsest level has 1/32 */
 }
@@ -18205,15 +18193,14 @@ TETCAST_DEF tetcast_result tetcast_amr_sample(const tetcast_amr *amr, tetcast_am
     if (amr == NULL || (uint32_t)method > TETCAST_AMR_GTI || (count != 0 && (points == NULL || out == NULL)))
         return TETCAST_ERR_INVALID_ARG;
     for (i = 0; i < count; i++)
-        out[i] = tetcasti_finite(points[i][0] + points[i][1] + points[i][2]) ? tetcasti_amr_at(amr, method, points[i])
-                                                                             : (float)NAN;
+        out[i] = tetcasti_finite3(points[i]) ? tetcasti_amr_at(amr, method, points[i]) : (float)NAN;
     return TETCAST_OK;
 }
 
 TETCAST_DEF uint32_t tetcast_amr_level(const tetcast_amr *amr, const double point[3]) {
     double p[3];
     int32_t c[3];
-    if (amr == NULL || point == NULL || !tetcasti_finite(point[0] + point[1] + point[2])) return 0;
+    if (amr == NULL || point == NULL || !tetcasti_finite3(point)) return 0;
     tetcasti_amr_place(amr, point, p, c);
     return tetcasti_amr_leaf(amr, c);
 }
@@ -18798,6 +18785,8 @@ TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, te
     if (r != TETCAST_OK) return r;
     if (out == NULL || (d.plane_count != 0 && d.planes == NULL) || (d.body_count != 0 && d.bodies == NULL))
         return TETCAST_ERR_INVALID_ARG;
+    if (d.plane_count > 0xffffffu || d.body_count > 0xffffffu) /* before the first is read */
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0xffffff, "clip: more than % planes or bodies");
     for (i = 0; i < d.plane_count; i++) {
         double sum = d.planes[i].offset;
         for (a = 0; a < 3; a++) sum += d.planes[i].normal[a];
@@ -19347,16 +19336,21 @@ static void tetcasti_task_shade(void *ctx, uint32_t strand) {
     tetcasti_batch_close(b);
 }
 
-static tetcast_result tetcasti_shade_check(const tetcast_shade_desc *d, const tetcast_mesh *mesh,
-                                           const tetcast_optics *optics, const tetcast_image *image) {
+/* What all pictures with shaders are given: background, clip_near and clip_far, frame and part. */
+static int tetcasti_picture_good(const float background[4], float nearest, float farthest, const uint32_t frame[2],
+                                 const uint32_t part[2], const tetcast_image *image) {
     uint32_t a;
     for (a = 0; a < 4; a++)
-        if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
-    if (mesh == NULL || image == NULL || (optics == NULL && d->shader == NULL) ||
-        !tetcasti_shader_good(d->shader) ||
-        !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
-        (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
-                              image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))
+        if (!tetcasti_finite_f(background[a])) return 0;
+    return nearest >= 0.0f && nearest < TETCASTI_INF && farthest >= 0.0f &&
+           (frame[0] == 0 || (frame[1] != 0 && part[0] <= frame[0] && part[1] <= frame[1] &&
+                              image->width <= frame[0] - part[0] && image->height <= frame[1] - part[1]));
+}
+
+static tetcast_result tetcasti_shade_check(const tetcast_shade_desc *d, const tetcast_mesh *mesh,
+                                           const tetcast_optics *optics, const tetcast_image *image) {
+    if (mesh == NULL || image == NULL || (optics == NULL && d->shader == NULL) || !tetcasti_shader_good(d->shader) ||
+        !tetcasti_picture_good(d->background, d->clip_near, d->clip_far, d->frame, d->part, image))
         return TETCAST_ERR_INVALID_ARG;
     if (mesh->tet == NULL && (d->shader != NULL ? (d->shader->needs & TETCAST_NEED_GRADIENT) != 0
                                                 : optics->iso_count != 0)) return TETCAST_ERR_INVALID_ARG;
@@ -19372,7 +19366,7 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
     tetcasti_mem unused;
     tetcast_result r;
     double lo[3], hi[3];
-    uint32_t strands, a, width, height;
+    uint32_t strands, width, height;
     memset(&d, 0, sizeof d);
     memset(&c, 0, sizeof c);
     if (desc != NULL) d = *desc;
@@ -19391,13 +19385,8 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
     c.image = image;
     if (!tetcasti_tiles_of(image, &c.tiles_x, &c.tiles))
         return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "shade: the picture is too large");
-    for (a = 0; a < 3; a++) {
-        lo[a] = mesh->origin[a] + (double)mesh->box.lo[a] * mesh->unit;
-        hi[a] = mesh->origin[a] + (double)mesh->box.hi[a] * mesh->unit;
-    }
-    if (d.camera.eye[0] == d.camera.at[0] && d.camera.eye[1] == d.camera.at[1] && d.camera.eye[2] == d.camera.at[2])
-        r = tetcast_camera_fit(&d.camera, lo, hi, NULL, width, height);
-    if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, width, height, &c.frame);
+    tetcasti_mesh_box(mesh, lo, hi);
+    r = tetcasti_camera_open(&d.camera, lo, hi, width, height, &c.frame);
     if (r == TETCAST_OK) r = tetcasti_desc_open(NULL, &none, &unused);
     if (r == TETCAST_OK) r = tetcasti_scene_open(&none, mesh, NULL, &c.scene);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "shade: bad camera");
@@ -20341,7 +20330,7 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
     double lo[3], hi[3], least = 1e300, way = 0.0;
     const uint32_t width = d->frame[0] != 0 ? d->frame[0] : image->width;
     const uint32_t height = d->frame[0] != 0 ? d->frame[1] : image->height;
-    tetcast_result r = TETCAST_OK;
+    tetcast_result r;
     uint32_t a, k;
     for (a = 0; a < 3; a++) {
         lo[a] = b->lattice.origin[a];
@@ -20363,10 +20352,7 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
         c->part[a] = 1.0 / (double)(1u << a);
         for (k = 0; k < 3; k++) c->slope[a][k] = (float)(c->part[a] / b->lattice.spacing[k]);
     }
-    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
-        d->camera.eye[2] == d->camera.at[2])
-        r = tetcast_camera_fit(&d->camera, lo, hi, NULL, width, height);
-    if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &c->frame);
+    r = tetcasti_camera_open(&d->camera, lo, hi, width, height, &c->frame);
     if (r != TETCAST_OK) return tetcasti_fail(d->env.error, r, 0, "bricks: bad camera");
     if (c->optics == NULL && d->shader->prepare_fn != NULL)
         r = d->shader->prepare_fn(d->shader->user, d->shader->params, d->shader->param_count, d->env.error);
@@ -20390,22 +20376,17 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
     tetcast_brick_render_desc d;
     tetcasti_brick_frame c;
     tetcast_result r;
-    uint32_t strands, a;
+    uint32_t strands;
     memset(&d, 0, sizeof d);
     memset(&c, 0, sizeof c);
     if (desc != NULL) d = *desc;
     if (d._begin_zero != 0 || d._end_zero != 0) return TETCAST_ERR_UNINIT_DESC;
     r = tetcasti_env_open(&d.env, &c.mem);
     if (r != TETCAST_OK) return r;
-    for (a = 0; a < 4; a++)
-        if (!tetcasti_finite_f(d.background[a])) r = TETCAST_ERR_INVALID_ARG;
     if (cut == NULL || image == NULL || (optics == NULL && d.shader == NULL) || (uint32_t)d.isa > TETCAST_ISA_AVX512 ||
-        !(d.step >= 0.0f && d.step < 1e6f) || !(d.clip_near >= 0.0f && d.clip_near < TETCASTI_INF) ||
-        !(d.clip_far >= 0.0f) || !tetcasti_shader_good(d.shader) ||
-        (d.frame[0] != 0 && (d.frame[1] == 0 || d.part[0] > d.frame[0] || d.part[1] > d.frame[1] ||
-                             image->width > d.frame[0] - d.part[0] || image->height > d.frame[1] - d.part[1])))
-        r = TETCAST_ERR_INVALID_ARG;
-    if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "bricks: bad option");
+        !(d.step >= 0.0f && d.step < 1e6f) || !tetcasti_shader_good(d.shader) ||
+        !tetcasti_picture_good(d.background, d.clip_near, d.clip_far, d.frame, d.part, image))
+        return tetcasti_fail(d.env.error, TETCAST_ERR_INVALID_ARG, 0, "bricks: bad option");
     if (image->width == 0 || image->height == 0) return TETCAST_OK;
     if (d.frame[0] == 0) d.part[0] = d.part[1] = 0;
     c.desc = &d;
@@ -21195,29 +21176,43 @@ static void tetcasti_rbf_node_scale(tetcast_rbf *m) {
         m->node_scale[a] = m->dims[a] > 1 && m->size[a] > 0.0f ? (float)(m->dims[a] - 1) / m->size[a] : 0.0f;
 }
 
-static int tetcasti_rbf_alloc(tetcast_rbf *m) { /* what count, dims, components, ellipsoids say; 0: no memory */
-    size_t nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2];
+/* Arrays of the functions, as count, components, ellipsoids say. 0: no memory. */
+static int tetcasti_rbf_alloc_functions(tetcast_rbf *m) {
     m->centre = (float (*)[3])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->centre);
     m->width = (float *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->width);
     m->weight = (float *)tetcasti_alloc_zero(&m->mem, ((size_t)m->count + 1u) * m->components, sizeof *m->weight);
-    if (nodes != 0) m->node = (float *)tetcasti_alloc_zero(&m->mem, nodes * m->components, sizeof *m->node);
     if (m->ellipsoids != 0) m->axis = (float (*)[4])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->axis);
-    return m->centre != NULL && m->width != NULL && m->weight != NULL && (nodes == 0 || m->node != NULL) &&
-           (m->ellipsoids == 0 || m->axis != NULL);
+    return m->centre != NULL && m->width != NULL && m->weight != NULL && (m->ellipsoids == 0 || m->axis != NULL);
+}
+static int tetcasti_rbf_alloc(tetcast_rbf *m) { /* these, and nodes, as dims say */
+    size_t nodes = (size_t)m->dims[0] * m->dims[1] * m->dims[2];
+    if (nodes != 0) m->node = (float *)tetcasti_alloc_zero(&m->mem, nodes * m->components, sizeof *m->node);
+    return tetcasti_rbf_alloc_functions(m) && (nodes == 0 || m->node != NULL);
+}
+
+static void tetcasti_rbf_free_functions(tetcast_rbf *m) { /* and their octree */
+    tetcasti_free(&m->mem, m->centre);
+    tetcasti_free(&m->mem, m->width);
+    tetcasti_free(&m->mem, m->weight);
+    tetcasti_free(&m->mem, m->axis);
+    tetcasti_free(&m->mem, m->record);
+    tetcasti_free(&m->mem, m->tree);
+    tetcasti_free(&m->mem, m->index);
+    m->centre = NULL;
+    m->axis = NULL;
+    m->width = m->weight = NULL;
+    m->record = NULL;
+    m->tree = NULL;
+    m->index = NULL;
+    m->tree_count = m->index_count = m->tree_depth = 0;
 }
 
 TETCAST_DEF void tetcast_rbf_destroy(tetcast_rbf *rbf) {
     tetcasti_mem mem;
     if (rbf == NULL) return;
+    tetcasti_rbf_free_functions(rbf);
     mem = rbf->mem;
-    tetcasti_free(&mem, rbf->centre);
-    tetcasti_free(&mem, rbf->width);
-    tetcasti_free(&mem, rbf->weight);
-    tetcasti_free(&mem, rbf->axis);
     tetcasti_free(&mem, rbf->node);
-    tetcasti_free(&mem, rbf->record);
-    tetcasti_free(&mem, rbf->tree);
-    tetcasti_free(&mem, rbf->index);
     tetcasti_free(&mem, rbf);
 }
 
@@ -21993,7 +21988,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_load_file(const tetcast_env *env, const c
 
    Up to eight points of one leaf go through its list together, one function after the other. A function that does not
    reach a point adds 0, so the sum over the list and the sum over all functions are the same bits, and nothing jumps
-   between leaves.
+   between leaves. All that such a 0 can change is the sign of a sum that is 0: what comes out is never -0.
    --------------------------------------------------------------------------- */
 
 #define TETCASTI_RBF_CHUNK 256u /* points of a task */
@@ -22306,9 +22301,9 @@ static void tetcasti_rbf_points(const tetcast_rbf *m, tetcasti_rbf_add_fn *add, 
         for (l = 0; l < lanes; l++) {
             j = key[i + l].i;
             for (c = 0; c < m->components; c++) {
-                values[j * m->components + c] = v.sum[c][l];
+                values[j * m->components + c] = v.sum[c][l] + 0.0f; /* -0 becomes 0 */
                 if (slopes != NULL)
-                    for (a = 0; a < 3; a++) slopes[(j * m->components + c) * 3 + a] = v.slope[c][a][l];
+                    for (a = 0; a < 3; a++) slopes[(j * m->components + c) * 3 + a] = v.slope[c][a][l] + 0.0f;
             }
         }
     }
@@ -23012,7 +23007,7 @@ static void tetcasti_fit_normal(const tetcasti_fit *t, const tetcasti_fit_functi
         for (q = p; q < 5; q++) a[q][p] = a[p][q] *= w2;
 }
 
-/* Cholesky, n <= 5. 0: not positive. */
+/* Cholesky: a x = b, x into b. 0: not positive. */
 static int tetcasti_fit_solve(double a[5][5], double b[5]) {
     int i, j, k;
     for (i = 0; i < 5; i++)
@@ -24391,29 +24386,11 @@ static tetcast_result tetcasti_fit_model(tetcasti_fit *t) {
     size_t i, j, k = 0;
     uint32_t c, widest = 0;
     double most = 0.0;
-    tetcasti_free(&m->mem, m->axis);
-    tetcasti_free(&m->mem, m->centre);
-    tetcasti_free(&m->mem, m->width);
-    tetcasti_free(&m->mem, m->weight);
-    tetcasti_free(&m->mem, m->record);
-    tetcasti_free(&m->mem, m->tree);
-    tetcasti_free(&m->mem, m->index);
-    m->centre = NULL;
-    m->axis = NULL;
-    m->width = m->weight = NULL;
-    m->record = NULL;
-    m->tree = NULL;
-    m->index = NULL;
-    m->tree_count = m->index_count = m->tree_depth = 0;
+    tetcasti_rbf_free_functions(m);
     m->count = (uint32_t)tetcasti_fit_count(t);
-    m->centre = (float (*)[3])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->centre);
-    m->width = (float *)tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->width);
-    m->weight = (float *)tetcasti_alloc_zero(&m->mem, ((size_t)m->count + 1u) * t->n, sizeof *m->weight);
     for (i = m->ellipsoids = 0; i < blocks; i++)
         for (j = 0; j < t->block[i].count; j++) m->ellipsoids += t->block[i].f[j].shape != 0;
-    if (m->ellipsoids != 0) m->axis = (float (*)[4])tetcasti_alloc_zero(&m->mem, m->count + 1u, sizeof *m->axis);
-    if (m->centre == NULL || m->width == NULL || m->weight == NULL || (m->ellipsoids != 0 && m->axis == NULL))
-        return TETCAST_ERR_NO_MEMORY;
+    if (!tetcasti_rbf_alloc_functions(m)) return TETCAST_ERR_NO_MEMORY;
     m->bits.width = 8;
     for (i = 0; i < blocks; i++)
         for (j = 0; j < t->block[i].count; j++, k++) {
@@ -26099,13 +26076,9 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
     const uint32_t width = d->frame[0] != 0 ? d->frame[0] : t->image->width;
     const uint32_t height = d->frame[0] != 0 ? d->frame[1] : t->image->height;
     double diagonal = 0.0, way = 0.0, least = 1e300;
-    tetcast_result r = TETCAST_OK;
+    tetcast_result r = tetcasti_camera_open(&d->camera, m->box_min, m->box_max, width, height, &t->frame);
     uint32_t a;
     if (d->frame[0] == 0) d->part[0] = d->part[1] = 0;
-    if (d->camera.eye[0] == d->camera.at[0] && d->camera.eye[1] == d->camera.at[1] &&
-        d->camera.eye[2] == d->camera.at[2])
-        r = tetcast_camera_fit(&d->camera, m->box_min, m->box_max, NULL, width, height);
-    if (r == TETCAST_OK) r = tetcasti_frame_open(&d->camera, width, height, &t->frame);
     if (r != TETCAST_OK) return r;
     for (a = 0; a < 3; a++) {
         t->eye[a] = (t->frame.eye[a] - m->box_min[a]) / m->scale[a];
@@ -26142,16 +26115,12 @@ static tetcast_result tetcasti_rbf_picture_open(tetcasti_rbf_picture *t, tetcast
 
 static tetcast_result tetcasti_rbf_render_check(const tetcast_rbf_render_desc *d, const tetcast_rbf *m,
                                                 const tetcast_image *image) {
-    uint32_t a;
     if ((uint32_t)d->channel > TETCAST_RBF_CHANNEL_HELICITY || d->component >= m->components ||
         (d->channel > TETCAST_RBF_CHANNEL_LENGTH && m->components != 3) ||
         !(d->step >= 0.0f && d->step < 1e30f) || !(d->epsilon >= 0.0f && d->epsilon <= 1.0f) ||
         !tetcasti_shader_good(d->shader) || (uint32_t)d->isa > TETCAST_ISA_AVX512 ||
-        !(d->clip_near >= 0.0f && d->clip_near < TETCASTI_INF) || !(d->clip_far >= 0.0f) ||
-        (d->frame[0] != 0 && (d->frame[1] == 0 || d->part[0] > d->frame[0] || d->part[1] > d->frame[1] ||
-                              image->width > d->frame[0] - d->part[0] || image->height > d->frame[1] - d->part[1])))
+        !tetcasti_picture_good(d->background, d->clip_near, d->clip_far, d->frame, d->part, image))
         return TETCAST_ERR_INVALID_ARG;
-    for (a = 0; a < 4; a++) if (!tetcasti_finite_f(d->background[a])) return TETCAST_ERR_INVALID_ARG;
     return TETCAST_OK;
 }
 
@@ -27768,9 +27737,7 @@ TETCAST_DEF tetcast_result tetcast_foam_render(const tetcast_render_desc *desc, 
     c.desc = &d;
     c.foam = foam;
     c.image = image;
-    if (d.camera.eye[0] == d.camera.at[0] && d.camera.eye[1] == d.camera.at[1] && d.camera.eye[2] == d.camera.at[2])
-        r = tetcast_camera_fit(&d.camera, foam->info.box_min, foam->info.box_max, NULL, image->width, image->height);
-    if (r == TETCAST_OK) r = tetcasti_frame_open(&d.camera, image->width, image->height, &c.frame);
+    r = tetcasti_camera_open(&d.camera, foam->info.box_min, foam->info.box_max, image->width, image->height, &c.frame);
     if (r != TETCAST_OK) return tetcasti_fail(d.env.error, r, 0, "foam: bad camera");
     if (image->width == 0 || image->height == 0) return TETCAST_OK;
     if (!tetcasti_tiles_of(image, &c.tiles_x, &c.tiles))

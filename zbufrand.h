@@ -18,7 +18,6 @@
    @select         the cut through the trees of a view
    @sample         draws -> keys
    @listed         the cut through the thesis' trees by its rules; draws from distribution lists
-   @zbuffer        every triangle of a scene through the rasteriser
    @reconstruct    from keys to a picture
    @accumulate     means of frames, smoothing, noise, reprojection
    @theory         sample counts, success probabilities, the law of a pixel
@@ -520,10 +519,11 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
    drawn as before; the edits are kept, so that the call can be made again. Counts of triangles stop at 2^64 - 1. The
    trees of the thesis, if there are any, are dropped, also by some of the failures: the default tree is used until the
    next build.
-   Cost: moving, removing or adding a reference: O(depth of the trees above), some 10 us; a structure used by many
-   instances costs as many of them. New triangles: as in a build. The first update after a build looks at all nodes and
-   instances once and holds 20 to 30 bytes for each of them from then on. Trees are made anew in parts where they got
-   worse. The memory of melted triangles that are removed is given back by the next build.
+   Cost, on average: moving, removing or adding a reference: O(depth of the trees above), some 10 us, also where
+   thousands come in a row or lie at one place; a structure used by many instances costs as many of them. New triangles:
+   as in a build. The first update after a build looks at all nodes and instances once and holds 20 to 30 bytes for each
+   of them from then on. Trees are made anew in parts where they got worse. The memory of melted triangles that are
+   removed is given back by the next build.
    The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufrand_scene_info *info);
 
@@ -566,7 +566,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
    number, and only for samples that are seen. */
 typedef struct zbufrand_sample {
     float x, y;             /* pixels from the upper left corner; pixel (i, j) covers [i, i+1) x [j, j+1) */
-    float z;                /* depth along the viewing axis, > 0 */
+    float z;                /* depth along the viewing axis, 1e-30 to 1e30 */
     float slope_x, slope_y; /* how 1/z of its surface changes per pixel to the right and downwards; 0, 0: not known */
     float rgb[3];           /* linear */
     uint32_t flags;         /* ZBUFRAND_SAMPLE_* */
@@ -699,7 +699,7 @@ typedef struct zbufrand_canvas zbufrand_canvas;
 typedef struct zbufrand_submit_stats { /* added to */
     uint64_t accepted;
     uint64_t outside; /* beyond the picture and its guard band */
-    uint64_t bad;     /* z not positive and finite, or a position that is not finite */
+    uint64_t bad;     /* z not within 1e-30 and 1e30, or a position that is not finite */
 } zbufrand_submit_stats;
 
 /* Buffers of the caller, width * height, row 0 on top; any may be NULL. */
@@ -923,7 +923,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_accumulator_get(const zbufrand_accumulator
    Pure functions of doubles, any thread, O(1) unless stated. An argument that is NaN or outside the stated range gives
    NaN; what is said for one of them holds for an argument of the same name in those that follow. Areas, numbers and
    edges are finite; a density of INFINITY gives the limit or NaN. Numbers of samples are not rounded and may be far
-   above 2^64. Relative errors are below 1e-12 unless stated. */
+   above 2^64. Relative errors are below 1e-12 unless stated, of results below 1e-200 below 1e-11. */
 
 typedef enum zbufrand_bound { /* how the number of samples for a wanted probability is found */
     ZBUFRAND_BOUND_UNION = 0,    /* (a/d^2) ln(v / (1-s)): any shapes, independent or stratified samples (default) */
@@ -1034,8 +1034,7 @@ ZBUFRAND_DEF double zbufrand_smoothing_frames(double epsilon);
    painted pixel, not below 0. visible > block^2. */
 ZBUFRAND_DEF double zbufrand_block_time(double project, double paint, double area, double visible, double block);
 
-/* Harmonic number H_n, also between the integers (digamma(n + 1) + Euler's constant); n >= 0. Below n = 1 it is the
-   absolute error that is below 1e-14. */
+/* Harmonic number H_n, also between the integers (digamma(n + 1) + Euler's constant); n >= 0. */
 ZBUFRAND_DEF double zbufrand_harmonic(double n);
 
 /* x with probability p below it under the standard normal law, 0 < p < 1; absolute error below 1e-13 (1 + |x|). */
@@ -1269,7 +1268,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *d
    image   buffers in and out; a width or height of 0 is allowed
    stats   out, may be NULL; on failure of what was done until then
    The same bits for any number of threads and any isa, but for stats->accepted. Any number of frames may draw one scene
-   at once. O(samples + pixels + nodes of the trees that are opened).
+   at once. Colours of lights, ambient and background are within -1e12 and 1e12, so that no pixel overflows.
+   O(samples + pixels + nodes of the trees that are opened).
    Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, more than 2^32 samples or 65535 lights,
    a block too large), NO_MEMORY, CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001;
    occlusion after Greene et al. 1993. */
@@ -4451,15 +4451,22 @@ static void zbufrandi_structures_free(zbufrand_scene *scene) {
     memset(&scene->info, 0, sizeof scene->info);
 }
 
-static void zbufrandi_sort_doubles(double *v, size_t n) { /* Shell sort: a thousand of them */
-    size_t gap, i, j;
-    for (gap = n / 2; gap > 0; gap = gap == 2 ? 1 : gap * 5 / 11) {
-        for (i = gap; i < n; i++) {
-            double x = v[i];
-            for (j = i; j >= gap && v[j - gap] > x; j -= gap) v[j] = v[j - gap];
-            v[j] = x;
-        }
-    }
+/* Shell sort. LATER(a, b): a comes after b. */
+#define ZBUFRANDI_SORT(type, v, n, LATER) \
+    do { \
+        size_t gap_, i_, j_; \
+        for (gap_ = (n) / 2; gap_ > 0; gap_ = gap_ == 2 ? 1 : gap_ * 5 / 11) { \
+            for (i_ = gap_; i_ < (n); i_++) { \
+                const type x_ = (v)[i_]; \
+                for (j_ = i_; j_ >= gap_ && LATER((v)[j_ - gap_], x_); j_ -= gap_) (v)[j_] = (v)[j_ - gap_]; \
+                (v)[j_] = x_; \
+            } \
+        } \
+    } while (0)
+#define ZBUFRANDI_GREATER(a, b) ((a) > (b))
+
+static void zbufrandi_sort_doubles(double *v, size_t n) { /* a thousand of them */
+    ZBUFRANDI_SORT(double, v, n, ZBUFRANDI_GREATER);
 }
 
 enum { ZBUFRANDI_PROBES = 511 };
@@ -10867,158 +10874,6 @@ static void zbufrandi_raster_listed(zbufrandi_raster *r, const zbufrandi_structu
 }
 
 /* ---------------------------------------------------------------------------
-   zbuffer: every triangle of a scene through the rasteriser.                   // >>zbuffer
-
-   What sampling is compared with: the trees serve to drop what is beside the picture, all else is drawn in storage
-   order. The time is proportional to the number of triangles in view.
-   --------------------------------------------------------------------------- */
-
-enum { ZBUFRANDI_ZBUFFER_ITEMS = 4096, ZBUFRANDI_ZBUFFER_LOCALS = 512, ZBUFRANDI_ZBUFFER_TASK = 32 };
-
-typedef struct zbufrandi_zbuffer_item { uint32_t local, cluster, number; } zbufrandi_zbuffer_item;
-
-typedef struct zbufrandi_zbuffer {
-    const zbufrandi_structure *structure;
-    const zbufrand_env *env;
-    zbufrandi_cut cut;                 /* scene and camera are used */
-    zbufrandi_raster raster;
-    zbufrandi_zbuffer_item *item;      /* drawn together */
-    zbufrandi_local *local;
-    uint32_t item_count, local_count, flushes;
-    uint64_t triangles;                /* handed to the rasteriser */
-    uint32_t covered[2];               /* tally of covered pixels, hidden ones too */
-} zbufrandi_zbuffer;
-
-static void zbufrandi_zbuffer_task(void *ctx, uint32_t task) {
-    zbufrandi_zbuffer *z = (zbufrandi_zbuffer *)ctx;
-    zbufrandi_raster r = z->raster;
-    uint32_t i = task * ZBUFRANDI_ZBUFFER_TASK, end = i + ZBUFRANDI_ZBUFFER_TASK, local = ~0u;
-    uint64_t covered = 0;
-    if (end > z->item_count) end = z->item_count;
-    for (; i < end; i++) {
-        const zbufrandi_zbuffer_item *item = &z->item[i];
-        const zbufrandi_local *l = &z->local[item->local];
-        const zbufrandi_structure *s = &z->structure[l->structure];
-        const zbufrandi_cluster *c = &s->cluster[item->cluster];
-        if (item->local != local) zbufrandi_raster_local(&r, l);
-        local = item->local;
-        covered += zbufrandi_raster_cluster(&r, s->position + 3 * (size_t)c->first_vertex, c->vertex_count,
-                                            s->triangle + 3 * (size_t)c->first_triangle, c->triangle_count,
-                                            c->flags & ZBUFRANDI_TWO_SIDED, item->number);
-    }
-    zbufrandi_tally_add(z->covered, covered);
-}
-
-static void zbufrandi_zbuffer_flush(zbufrandi_zbuffer *z) {
-    zbufrandi_parallel_for(z->env, zbufrandi_zbuffer_task, z,
-                           (z->item_count + ZBUFRANDI_ZBUFFER_TASK - 1) / ZBUFRANDI_ZBUFFER_TASK);
-    z->item_count = 0;
-    z->local_count = 0;
-    z->flushes++;
-}
-
-/* Whether a box is beside the picture, behind the near plane or beyond the far one. */
-static int zbufrandi_zbuffer_outside(const zbufrandi_zbuffer *z, const zbufrandi_local *l, const zbufrandi_sides *s,
-                                     const zbufrandi_node8 *n, uint32_t lane) {
-    float q[3], e[3], depth, reach, slack;
-    uint32_t a, p;
-    for (a = 0; a < 3; a++) {
-        e[a] = (n->hi[a][lane] - n->lo[a][lane]) * 0.5f;
-        q[a] = (n->lo[a][lane] + n->hi[a][lane]) * 0.5f - l->eye[a];
-    }
-    slack = (zbufrandi_absf(q[0]) + zbufrandi_absf(q[1]) + zbufrandi_absf(q[2]) + e[0] + e[1] + e[2]) *
-            (l->scale * 1e-5f);
-    for (p = 0; p < 4; p++) {
-        const float d = q[0] * s->side[p][0] + q[1] * s->side[p][1] + q[2] * s->side[p][2];
-        reach = e[0] * s->side_e[p][0] + e[1] * s->side_e[p][1] + e[2] * s->side_e[p][2];
-        if (d + reach < -slack) return 1;
-    }
-    depth = q[0] * l->m[2][0] + q[1] * l->m[2][1] + q[2] * l->m[2][2] + l->rest[2];
-    reach = e[0] * s->z_e[0] + e[1] * s->z_e[1] + e[2] * s->z_e[2] + slack;
-    return depth + reach < (float)z->cut.camera.near_z || depth - reach > (float)z->cut.camera.far_z;
-}
-
-/* stored: where l stands in z->local, and since which flush; another flush than the last: it does not stand there. */
-static void zbufrandi_zbuffer_node(zbufrandi_zbuffer *z, const zbufrandi_local *l, const zbufrandi_sides *sides,
-                                   uint32_t node, uint32_t stored[2]) {
-    const zbufrandi_structure *s = &z->structure[l->structure];
-    const zbufrandi_node8 *n = &s->node[node];
-    uint32_t lane;
-    for (lane = 0; lane < n->count; lane++) {
-        const uint32_t index = ZBUFRANDI_CHILD_INDEX(n->child[lane]);
-        if (zbufrandi_zbuffer_outside(z, l, sides, n, lane)) continue;
-        if (ZBUFRANDI_CHILD_KIND(n->child[lane]) == ZBUFRANDI_CHILD_NODE) {
-            zbufrandi_zbuffer_node(z, l, sides, index, stored);
-        } else if (ZBUFRANDI_CHILD_KIND(n->child[lane]) == ZBUFRANDI_CHILD_INSTANCE) {
-            zbufrandi_local inner;
-            uint32_t inner_stored[2] = {0, ~0u};
-            zbufrandi_sides inner_sides;
-            zbufrandi_local_enter(&z->cut, l, ~0u, index, &inner);
-            if (z->structure[inner.structure].node_count == 0) continue;
-            zbufrandi_sides_of(&z->cut.camera, &inner, &inner_sides);
-            zbufrandi_zbuffer_node(z, &inner, &inner_sides, 0, inner_stored);
-        } else {
-            zbufrandi_zbuffer_item *item;
-            if (z->item_count == ZBUFRANDI_ZBUFFER_ITEMS ||
-                (stored[1] != z->flushes && z->local_count == ZBUFRANDI_ZBUFFER_LOCALS)) {
-                zbufrandi_zbuffer_flush(z);
-            }
-            if (stored[1] != z->flushes) {
-                stored[0] = z->local_count;
-                stored[1] = z->flushes;
-                z->local[z->local_count++] = *l;
-            }
-            item = &z->item[z->item_count++];
-            item->local = stored[0];
-            item->cluster = index;
-            item->number = (uint32_t)z->triangles;
-            z->triangles += s->cluster[index].triangle_count;
-        }
-    }
-}
-
-/* Draw all of a built scene into the keys, which are not cleared before. Triangles are numbered in the order in which
-   they are met, modulo 2^32.
-   out_triangles, out_covered  triangles in view; pixels they covered, hidden ones too; may be NULL
-   Errors: NO_MEMORY. */
-static ZBUFRANDI_UNUSED zbufrand_result zbufrandi_zbuffer_draw(const zbufrand_scene *scene,
-                                                               const zbufrandi_camera *camera,
-                                                               const zbufrandi_keys *keys, const zbufrand_env *env,
-                                                               zbufrandi_mem *mem, int level, uint64_t *out_triangles,
-                                                               uint64_t *out_covered) {
-    const int alone = env->parallel.for_fn == NULL && zbufrandi_thread_count(env) == 1;
-    zbufrandi_zbuffer z;
-    zbufrandi_local root;
-    zbufrandi_sides sides;
-    uint32_t stored[2] = {0, ~0u};
-    memset(&z, 0, sizeof z);
-    if (out_triangles != NULL) *out_triangles = 0;
-    if (out_covered != NULL) *out_covered = 0;
-    if (scene->structure_count == 0 || scene->structure[0].node_count == 0) return ZBUFRAND_OK;
-    z.structure = scene->structure;
-    z.env = env;
-    z.cut.scene = scene;
-    z.cut.camera = *camera;
-    z.item = (zbufrandi_zbuffer_item *)zbufrandi_alloc_array(mem, ZBUFRANDI_ZBUFFER_ITEMS, sizeof *z.item);
-    z.local = (zbufrandi_local *)zbufrandi_alloc_array(mem, ZBUFRANDI_ZBUFFER_LOCALS, sizeof *z.local);
-    if (z.item == NULL || z.local == NULL) {
-        zbufrandi_free(mem, z.item);
-        zbufrandi_free(mem, z.local);
-        return ZBUFRAND_ERR_NO_MEMORY;
-    }
-    zbufrandi_raster_begin(&z.raster, camera, keys, alone, level);
-    zbufrandi_local_root(camera, &scene->structure[0], 0, &root);
-    zbufrandi_sides_of(camera, &root, &sides);
-    zbufrandi_zbuffer_node(&z, &root, &sides, 0, stored);
-    zbufrandi_zbuffer_flush(&z);
-    zbufrandi_free(mem, z.item);
-    zbufrandi_free(mem, z.local);
-    if (out_triangles != NULL) *out_triangles = z.triangles;
-    if (out_covered != NULL) *out_covered = zbufrandi_tally(z.covered);
-    return ZBUFRAND_OK;
-}
-
-/* ---------------------------------------------------------------------------
    reconstruct: from keys to a picture.                                         // >>reconstruct
 
    Samples lie in a canvas of keys: the picture and a guard band of `guard` pixels around it.
@@ -11054,6 +10909,9 @@ ZBUFRANDI_INLINE float zbufrandi_plane_depth(float z, double x, double y, double
     at = zbufrandi_min(zbufrandi_max(at, 0.5 * inverse), 2.0 * inverse);
     return (float)(1.0 / at);
 }
+
+/* A depth that samples may have: planes double and halve its inverse, filters add them up. */
+ZBUFRANDI_INLINE int zbufrandi_sample_depth(float z) { return z >= 1e-30f && z <= 1e30f; }
 
 /* A key without its low depth bits: depths of one bucket are equal, and the hash lets one of its samples win by chance.
    mask: the bits below a bucket's width; jitter, at most mask, moves the borders. All keys of a canvas have to be made
@@ -12172,12 +12030,12 @@ ZBUFRAND_DEF zbufrand_result zbufrand_mend(const zbufrand_suspect_desc *desc, fl
     if (depth == NULL || (suspects == NULL && count != 0)) return ZBUFRAND_ERR_INVALID_ARG;
     if (count == 0) return ZBUFRAND_OK;
     n = (size_t)c.width * c.height;
+    if (count > n) return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, count, "% suspects are too many");
     for (i = 0; i < count; i++) {
         if (suspects[i].pixel >= n) {
             return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, i, "suspect % is outside the picture");
         }
     }
-    if (count > n) return zbufrandi_fail(desc->env.error, ZBUFRAND_ERR_INVALID_ARG, count, "% suspects are too many");
     c.depth = depth;
     place = (uint32_t *)zbufrandi_alloc_zero(&mem, n, sizeof *place);
     given = (zbufrandi_mended *)zbufrandi_alloc_zero(&mem, count, 2 * sizeof *given);
@@ -12288,6 +12146,16 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_close(zbufrandi_mem *mem, zbufrandi
 static int zbufrandi_recon_regions(const zbufrandi_recon *r) { /* does a pixel show the nearest sample? */
     return r->o.fill == ZBUFRAND_FILL_VORONOI_L1 || r->o.fill == ZBUFRAND_FILL_VORONOI ||
            r->o.fill == ZBUFRAND_FILL_REGIONS;
+}
+
+/* Of cells and squares a few pixels keep samples, and a fill mixes those around the others: from how far? 0: not so. */
+ZBUFRANDI_UNUSED static uint32_t zbufrandi_recon_between(const zbufrandi_recon *r) {
+    float weight[ZBUFRANDI_GAUSS_TAPS];
+    if (r->o.block == 1 || r->o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS) return 0;
+    if (r->o.fill == ZBUFRAND_FILL_GAUSS)
+        return (uint32_t)zbufrandi_gauss_weights(r->o.gauss_radius, r->o.gauss_support, weight) - 1;
+    if (r->o.fill != ZBUFRAND_FILL_PULL_PUSH) return 0;
+    return r->o.reach != 0 && r->o.reach < 2 * r->o.block ? r->o.reach : 2 * r->o.block;
 }
 
 /* want_exact: there will be pixels of a rasteriser. r->exact is allocated only where it differs from the canvas. */
@@ -12603,14 +12471,16 @@ ZBUFRAND_DEF zbufrand_result zbufrand_project(const zbufrand_view *view, const z
     for (i = 0; i < count; i++) {
         zbufrand_sample *s = &samples[i];
         float p[3];
-        double q[3], n[3], d;
+        double q[3], n[3], x, y, d;
         memset(s, 0, sizeof *s);
         memcpy(p, (const uint8_t *)points->positions + (first + i) * stride, sizeof p);
         zbufrandi_rotate(view, p, 1.0, q);
         if (!(q[2] >= view->near_z && (view->far_z == 0.0 || q[2] <= view->far_z) && q[2] < 3e38)) continue;
-        if (!zbufrandi_finite(q[0]) || !zbufrandi_finite(q[1])) continue;
-        s->x = (float)(view->center_x + view->focal * q[0] / q[2]);
-        s->y = (float)(view->center_y - view->focal * q[1] / q[2]);
+        x = view->center_x + view->focal * q[0] / q[2];
+        y = view->center_y - view->focal * q[1] / q[2];
+        if (!(zbufrandi_abs(x) < 3e38 && zbufrandi_abs(y) < 3e38)) continue;
+        s->x = (float)x;
+        s->y = (float)y;
         s->z = (float)q[2];
         s->rgb[0] = s->rgb[1] = s->rgb[2] = 1.0f;
         if (points->rgb != NULL) {
@@ -12748,7 +12618,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_canvas_submit(zbufrand_canvas *canvas, con
         uint32_t number = (first_number + (uint32_t)i) ^ canvas->salt;
         int32_t ix, iy;
         size_t at;
-        if (!(z >= 1.17549435e-38f && z <= 3.40282347e38f) || !zbufrandi_finite_f(s->x) || !zbufrandi_finite_f(s->y)) {
+        if (!zbufrandi_sample_depth(z) || !zbufrandi_finite_f(s->x) || !zbufrandi_finite_f(s->y)) {
             n.bad++;
             continue;
         }
@@ -13147,7 +13017,7 @@ ZBUFRAND_DEF zbufrand_result zbufrand_layers_submit(zbufrand_layers *layers, con
         const zbufrand_sample *s = &samples[i];
         uint32_t ix, iy;
         float z;
-        if (!(s->z >= 1.17549435e-38f && s->z <= 3.40282347e38f)) continue;
+        if (!zbufrandi_sample_depth(s->z)) continue;
         if (!(s->x >= 0.0f && s->x < w && s->y >= 0.0f && s->y < h)) continue;
         ix = (uint32_t)s->x;
         iy = (uint32_t)s->y;
@@ -13793,11 +13663,13 @@ static double zbufrandi_log1p(double x) {
     return x > -0.3 && x < 0.4 ? zbufrandi_log_series(x / (2.0 + x)) : zbufrandi_log(1.0 + x);
 }
 
-/* (1 - q)^n for 0 <= q <= 1, n >= 0 */
-static double zbufrandi_pow1m(double q, double n) { return n == 0.0 ? 1.0 : zbufrandi_exp(n * zbufrandi_log1p(-q)); }
+/* ln(1 - e^x), x <= 0; by subtraction neither near 0 nor far from it */
+static double zbufrandi_log_1m_exp(double x) {
+    return x > -0.1 ? zbufrandi_log(-zbufrandi_expm1(x)) : zbufrandi_log1p(-zbufrandi_exp(x));
+}
 
-/* 1 - s^(1/n): about 1e-9 for millions of cells, hence never by subtraction */
-static double zbufrandi_one_minus_root(double s, double n) { return -zbufrandi_expm1(zbufrandi_log(s) / n); }
+/* ln(1 - s^(1/n)): the root is about 1 - 1e-9 for millions of cells, and next to nothing for parts of one */
+static double zbufrandi_log_1m_root(double s, double n) { return zbufrandi_log_1m_exp(zbufrandi_log(s) / n); }
 
 #define ZBUFRANDI_HALF_LOG_2PI 0.91893853320467274178
 
@@ -13863,9 +13735,23 @@ ZBUFRAND_DEF double zbufrand_normal_quantile(double p) {
     return p < 0.5 ? -x : x;
 }
 
+/* H_n for n < 1/2, where the digamma function would cancel Euler's constant: the sum of n/(k (k + n)) over all k, from
+   k = 12 on by powers of n; the factors are sums of k^-2, k^-3, ... */
+static double zbufrandi_harmonic_series(double n) {
+    static const double factor[11] = {0.0869018728717683908, 0.00377360268449945597, 2.18348871845137662e-4,
+        1.42045854458478787e-5, 9.85069087590124311e-7, 7.11159535613579466e-8, 5.27760794133394173e-9,
+        3.99575941536949202e-10, 3.07142836011216585e-11, 2.38901130920464681e-12, 1.87587972925694446e-13};
+    double sum = 0.0;
+    int k;
+    for (k = 10; k >= 0; k--) sum = factor[k] - n * sum;
+    for (k = 11; k >= 1; k--) sum += 1.0 / ((double)k * ((double)k + n));
+    return n * sum;
+}
+
 ZBUFRAND_DEF double zbufrand_harmonic(double n) {
     double sum = 0.57721566490153286061, x = n + 1.0, y;
     if (!(n >= 0.0)) return ZBUFRANDI_NAN;
+    if (n < 0.5) return zbufrandi_harmonic_series(n);
     if (n == ZBUFRANDI_INFINITY) return n;
     while (x < 12.0) {
         sum -= 1.0 / x;
@@ -13897,7 +13783,7 @@ ZBUFRAND_DEF double zbufrand_samples_lemma2(double cells, double tolerated, doub
     if (!(cells >= 1.0 && tolerated >= 0.0 && tolerated < cells && zbufrandi_finite(cells))) return ZBUFRANDI_NAN;
     if (!(probability > 0.0 && probability < 1.0)) return ZBUFRANDI_NAN;
     if (cells == 1.0) return 1.0; /* the limit: one sample fills the only cell */
-    return zbufrandi_log(zbufrandi_one_minus_root(probability, cells - tolerated)) /
+    return zbufrandi_log_1m_root(probability, cells - tolerated) /
            zbufrandi_log_near((cells - 1.0) / cells, -1.0 / cells);
 }
 
@@ -13906,7 +13792,7 @@ ZBUFRAND_DEF double zbufrand_samples_lemma2(double cells, double tolerated, doub
    m p - q sqrt(m p (1-p)) = m_v; Theorem 5 bounds that by (m_v + q sqrt(m_v)) / p. */
 static double zbufrandi_two_stages(double area, double visible, double probability, int exact) {
     double s = sqrt(probability), p = visible / area, q, root;
-    double m_v = -visible * zbufrandi_log(zbufrandi_one_minus_root(probability, 2.0 * visible));
+    double m_v = -visible * zbufrandi_log_1m_root(probability, 2.0 * visible);
     /* 1 - s without cancellation */
     q = s < 0.5 ? zbufrand_normal_quantile(s) : 0.0 - zbufrand_normal_quantile((1.0 - probability) / (1.0 + s));
     if (!(m_v > 0.0)) return 0.0;
@@ -13929,11 +13815,11 @@ ZBUFRAND_DEF double zbufrand_samples(zbufrand_bound bound, double area, double v
     switch (bound) {
     case ZBUFRAND_BOUND_UNION: return area * zbufrand_density(visible, block, probability);
     case ZBUFRAND_BOUND_DIRECT:
-        m = -area / d2 * zbufrandi_log(zbufrandi_one_minus_root(probability, visible));
+        m = -area / d2 * zbufrandi_log_1m_root(probability, visible);
         return m > 0.0 ? m : 0.0;
     case ZBUFRAND_BOUND_LEMMA2: return zbufrand_samples_lemma2(n < 1.0 ? 1.0 : n, 0.0, probability);
     case ZBUFRAND_BOUND_LEMMA3:
-        m = -n * zbufrandi_log(zbufrandi_one_minus_root(probability, n));
+        m = -n * zbufrandi_log_1m_root(probability, n);
         return m > 0.0 ? m : 0.0;
     case ZBUFRAND_BOUND_THEOREM1: return n * zbufrand_harmonic(n);
     case ZBUFRAND_BOUND_THEOREM2:
@@ -13959,11 +13845,12 @@ ZBUFRAND_DEF double zbufrand_samples_for_share(double area, double block, double
     return -area / (block * block) * zbufrandi_log(share);
 }
 
-/* P(binomial(n, p) <= k) = I_{1-p}(n-k, k+1), the incomplete beta function by its continued fraction (modified Lentz).
+/* P(binomial(n, p) <= k) = I_{1-p}(n-k, k+1), p = e^-u, less s: the incomplete beta function by its continued fraction
+   (modified Lentz). With s near 1 it is the chance of more than k that is compared.
    The fraction is taken on the side where it converges fast. Where that is the side of n-k and k is small, its terms
    would cancel if n is large: there the chances of k, k-1, ... are added up. */
-static double zbufrandi_binomial_below(double n, double p, double k) {
-    double a = n - k, b = k + 1.0, x = -zbufrandi_expm1(zbufrandi_log(p)), c, d, f, i, front;
+static double zbufrandi_binomial_less(double n, double u, double k, double s) {
+    double a = n - k, b = k + 1.0, p = zbufrandi_exp(-u), x = -zbufrandi_expm1(-u), c, d, f, i, front;
     int swap = x > (a + 1.0) / (a + b + 2.0);
     /* ln of x^a p^b Gamma(a+b) / (Gamma(a) Gamma(b)), in which numbers as large as a ln a would cancel: by how much
        p (a + b) is off b, and Stirling's formula for the rest */
@@ -13976,7 +13863,7 @@ static double zbufrandi_binomial_below(double n, double p, double k) {
             c *= i * x / ((n - i + 1.0) * p);
             f += c;
         }
-        return zbufrandi_min(1.0, zbufrandi_exp(front) / (a * p) * f);
+        return zbufrandi_min(1.0, zbufrandi_exp(front) / (a * p) * f) - s;
     }
     if (swap) {
         c = a;
@@ -14005,12 +13892,13 @@ static double zbufrandi_binomial_below(double n, double p, double k) {
         if (zbufrandi_abs(step - 1.0) < 1e-15) break;
     }
     f *= zbufrandi_exp(front) / a;
-    f = swap ? 1.0 - f : f;
-    return f < 0.0 ? 0.0 : f > 1.0 ? 1.0 : f;
+    f = zbufrandi_min(1.0, f);
+    if (swap && s > 0.9) return (1.0 - s) - f;
+    return (swap ? 1.0 - f : f) - s;
 }
 
 ZBUFRAND_DEF double zbufrand_samples_tolerant(double area, double visible, double tolerated, double probability) {
-    double k, lo, hi, mean, p, spread;
+    double k, lo, hi, mean, spread;
     int i;
     if (!zbufrandi_area_ok(area, visible, 1.0) || !(visible >= 1.0 && visible <= 1e12)) return ZBUFRANDI_NAN;
     if (!(tolerated >= 0.0 && tolerated < visible && probability > 0.0 && probability < 1.0)) return ZBUFRANDI_NAN;
@@ -14020,16 +13908,16 @@ ZBUFRAND_DEF double zbufrand_samples_tolerant(double area, double visible, doubl
     mean = (k + 0.5) / visible;
     spread = zbufrandi_abs(zbufrand_normal_quantile(probability)) * sqrt(mean * (1.0 - mean) / visible) + 1.0 / visible;
     for (lo = mean + spread; lo < 1.0; lo += spread) {
-        if (!(zbufrandi_binomial_below(visible, lo, k) > probability)) break;
+        if (!(zbufrandi_binomial_less(visible, -zbufrandi_log(lo), k, probability) > 0.0)) break;
         spread *= 2.0;
     }
     lo = lo < 1.0 ? -zbufrandi_log(lo) : 0.0;
     spread = spread < 0.5 * mean ? spread : 0.5 * mean;
-    for (p = mean - spread; zbufrandi_binomial_below(visible, p, k) < probability; p *= 0.5) { }
-    hi = -zbufrandi_log(p);
-    for (i = 0; i < 60 && hi - lo > 1e-13 * hi; i++) {
+    for (hi = -zbufrandi_log(mean - spread); zbufrandi_binomial_less(visible, hi, k, probability) < 0.0;)
+        hi += 0.69314718055994530942;
+    for (i = 0; i < 1000 && hi - lo > 1e-13 * hi; i++) { /* down to 1e-300 in halves, where lo is 0 */
         double mid = 0.5 * (lo + hi);
-        if (zbufrandi_binomial_below(visible, zbufrandi_exp(-mid), k) < probability) lo = mid;
+        if (zbufrandi_binomial_less(visible, mid, k, probability) < 0.0) lo = mid;
         else hi = mid;
     }
     return area * hi;
@@ -14043,7 +13931,7 @@ static int zbufrandi_density_ok(double density, double visible, double block) {
 
 ZBUFRAND_DEF double zbufrand_success(double density, double visible, double block) {
     if (!zbufrandi_density_ok(density, visible, block)) return ZBUFRANDI_NAN;
-    return zbufrandi_pow1m(zbufrandi_exp(-density * block * block), visible);
+    return visible == 0.0 ? 1.0 : zbufrandi_exp(visible * zbufrandi_log_1m_exp(-density * block * block));
 }
 
 ZBUFRAND_DEF double zbufrand_success_bound(double density, double visible, double block) {
@@ -14142,19 +14030,20 @@ ZBUFRAND_DEF double zbufrand_block_spill(double density, double block, double di
 
 ZBUFRAND_DEF double zbufrand_multi_hit(double samples, double pixels) {
     double l, u, r, q;
+    int k;
     if (!(samples >= 0.0 && pixels >= 1.0)) return ZBUFRANDI_NAN;
     if (!zbufrandi_finite(samples) || !zbufrandi_finite(pixels)) return ZBUFRANDI_NAN;
     if (samples <= 1.0) return 0.0;
     if (pixels == 1.0) return 1.0;
-    l = zbufrandi_log1p(-1.0 / pixels);
+    l = zbufrandi_log_near((pixels - 1.0) / pixels, -1.0 / pixels);
     u = samples / pixels;
-    if (u < 1e-3) { /* the difference below would cancel: chances of 2, 3, 4, 5 hits */
+    if (u < 0.1) { /* the difference below would cancel: chances of 2, 3, ... hits */
         q = 1.0 / (pixels - 1.0);
-        r = 1.0 + (samples - 4.0) * q / 5.0;
-        r = 1.0 + (samples - 3.0) * q / 4.0 * r;
-        r = 1.0 + (samples - 2.0) * q / 3.0 * r;
+        for (r = 1.0, k = 20; k >= 3; k--) r = 1.0 + (samples - (double)(k - 1)) * q / (double)k * r;
         return 0.5 * u * ((samples - 1.0) / pixels) * zbufrandi_exp((samples - 2.0) * l) * r;
     }
+    if (samples < 2.0) /* for the same reason: 1 - (1-p)^(k-1) (1 + (k-1) p) */
+        return -zbufrandi_expm1((samples - 1.0) * l + zbufrandi_log1p((samples - 1.0) / pixels));
     return -zbufrandi_expm1(samples * l) - u * zbufrandi_exp((samples - 1.0) * l);
 }
 
@@ -14162,7 +14051,7 @@ ZBUFRAND_DEF double zbufrand_empty_bound(double expected, double strata) {
     if (!(expected >= 0.0 && strata >= expected)) return ZBUFRANDI_NAN;
     if (expected == 0.0) return 1.0;
     if (strata == ZBUFRANDI_INFINITY) return zbufrandi_exp(-expected);
-    return zbufrandi_pow1m(expected / strata, strata);
+    return zbufrandi_exp(strata * zbufrandi_log_near((strata - expected) / strata, -expected / strata));
 }
 
 ZBUFRAND_DEF double zbufrand_thinned_dispersion(double dispersion, double accepted) {
@@ -15771,6 +15660,34 @@ static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the pictu
                                                       (uint8_t *)(p->f->depth + (size_t)y * r->width)));
 }
 
+/* Where fills mix the samples around a pixel it is as near as the nearest of them, and empty if there is none. */
+static void zbufrandi_between_rows(void *ctx, uint32_t y) {
+    const zbufrandi_picture *p = (const zbufrandi_picture *)ctx;
+    const uint32_t width = p->f->recon.width, far = zbufrandi_recon_between(&p->f->recon);
+    const float *in = p->f->depth + (size_t)y * width;
+    float *out = p->f->depth + (size_t)width * p->f->recon.height + (size_t)y * width;
+    uint32_t x, k;
+    memcpy(out, in, width * sizeof *out);
+    for (k = 1; k <= far && k < width; k++) {
+        for (x = 0; x < width - k; x++) out[x] = in[x + k] < out[x] ? in[x + k] : out[x];
+        for (x = k; x < width; x++) out[x] = in[x - k] < out[x] ? in[x - k] : out[x];
+    }
+}
+
+static void zbufrandi_between_columns(void *ctx, uint32_t y) {
+    const zbufrandi_picture *p = (const zbufrandi_picture *)ctx;
+    const zbufrandi_recon *r = &p->f->recon;
+    const uint32_t far = zbufrandi_recon_between(r);
+    const float *in = p->f->depth + (size_t)r->width * r->height;
+    float *out = p->f->depth + (size_t)y * r->width;
+    uint32_t x, v = y < far ? 0 : y - far;
+    memcpy(out, in + (size_t)y * r->width, r->width * sizeof *out);
+    for (; v < r->height && v <= y + far; v++) {
+        const float *row = in + (size_t)v * r->width;
+        for (x = 0; x < r->width; x++) out[x] = row[x] < out[x] ? row[x] : out[x];
+    }
+}
+
 /* Suspects within a block of a pixel that the ray through it speaks for: holes if it is empty itself, else others.
    Returns how many. */
 static uint32_t zbufrandi_repair_around(const zbufrandi_picture *p, uint32_t pixel, uint32_t around[25]) {
@@ -16064,7 +15981,7 @@ static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
     uint32_t x, y, u, v;
     p->where = NULL;
     if (p->stats.draws[0] + p->stats.draws[1] > (few > ZBUFRANDI_REPAIR_FEW ? few : (size_t)ZBUFRANDI_REPAIR_FEW) ||
-        block > 8 || p->d->points_count != 0) return (size_t)r->width * r->height;
+        block > 8 || p->d->points_count != 0 || zbufrandi_recon_between(r) != 0) return (size_t)r->width * r->height;
     memset(area, 0, (size_t)wide * high);
     for (i = 0; i < f->draw_count; i++) {
         const uint32_t kind = f->draw[i].item >> ZBUFRANDI_DRAW_SHIFT;
@@ -16194,17 +16111,22 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     const size_t n = (size_t)r->width * r->height, tiles = zbufrandi_repair_tiles(r);
     const size_t areas = (size_t)((r->width + 15) / 16) * ((r->height + 15) / 16);
     size_t sampled;
+    const int between = zbufrandi_recon_between(r) != 0;
     uint64_t covered = p->stats.repaired;
     uint32_t inside = 0;
     double failed, q;
     zbufrand_result result = ZBUFRAND_OK;
-    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n, sizeof *f->depth) ||
+    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, between ? 2 * n : n, sizeof *f->depth) ||
         !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n + tiles + areas, 1))
             return ZBUFRAND_ERR_NO_MEMORY;
     f->suspect_count = 0;
     p->seen[0] = p->seen[1] = 0;
     sampled = zbufrandi_repair_areas(p, f->mask + n + tiles);
     zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
+    if (between) {
+        zbufrandi_parallel_for(&f->env, zbufrandi_between_rows, p, r->height);
+        zbufrandi_parallel_for(&f->env, zbufrandi_between_columns, p, r->height);
+    }
     result = zbufrandi_find_suspects(p);
     if (result != ZBUFRAND_OK) return result;
     result = zbufrandi_repair_suspects(p, &inside);
@@ -16412,6 +16334,9 @@ static const zbufrand_costs zbufrandi_default_costs = {4.0f, 1.5f, 1.5f, 5.5f, 6
 
 static float zbufrandi_cost(float v, float otherwise) { return v > 0.0f ? v : otherwise; }
 
+/* Parts of colours: summed up over lights and pixels they stay finite. */
+ZBUFRANDI_INLINE int zbufrandi_amount(float x) { return x >= -1e12f && x <= 1e12f; }
+
 static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
     static const float place[2][3] = {{-0.75f, 0.85f, -0.6f}, {0.9f, -0.05f, -0.5f}};
     static const float color[2][3] = {{0.76f, 0.74f, 0.7f}, {0.1f, 0.115f, 0.14f}};
@@ -16436,7 +16361,7 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
         } else {
             double far_off = 0.0;
             for (a = 0; a < 3; a++) {
-                if (!zbufrandi_finite(d->lights[i].position[a]) || !zbufrandi_finite_f(d->lights[i].color[a]))
+                if (!zbufrandi_finite(d->lights[i].position[a]) || !zbufrandi_amount(d->lights[i].color[a]))
                     return ZBUFRAND_ERR_INVALID_ARG;
                 q[a] = d->lights[i].position[a] - (f->directional[i] ? 0.0 : c->eye[a]);
                 q[a] = zbufrandi_min(zbufrandi_max(q[a], -1e300), 1e300);
@@ -16460,7 +16385,7 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
         for (a = 0; a < 3; a++) p->look.ambient[a] = 0.05f;
     }
     for (a = 0; a < 4; a++) {
-        if (!zbufrandi_finite_f(d->background[a]) || (a < 3 && !zbufrandi_finite_f(d->ambient[a])))
+        if (!zbufrandi_amount(d->background[a]) || (a < 3 && !zbufrandi_amount(d->ambient[a])))
             return ZBUFRAND_ERR_INVALID_ARG;
         p->look.background[a] = d->background[a];
         p->look.transparent &= d->background[a] == 0.0f;
@@ -18184,13 +18109,16 @@ ZBUFRAND_DEF zbufrand_result zbufrand_surface_points(const zbufrand_scene *scene
    the insertion, removal or new box of a leaf of its tree. Then boxes, cones, areas, counts and stored points are made
    anew from the touched leaves up to the root, by the functions that made them first, and from there on in all
    structures that have instances of this one. Nothing is summed up over edits, so nothing drifts.
-   Leaves go where boxes grow least. Subtrees that got worse than they were made (the surfaces of all boxes over that of
-   their own, 1.5 times, a quarter of the leaves edited) are made anew over their upper 2048 parts.
-   An update first builds and reserves all it will need: where memory runs out, nothing has happened yet.
+   Leaves go where boxes grow least. Where that makes a tree too deep (rows, thousands at one place), the lowest subtree
+   that is far from balanced is packed at once, eight leaves to a node; that needs no memory, and what it costs was paid
+   for by the leaves that came since (a scapegoat tree, Galperin and Rivest 1993). Subtrees that got worse than they
+   were made (the surfaces of all boxes over that of their own, 1.5 times, a quarter of the leaves edited) are made anew
+   over their upper 2048 parts; without memory for it they stay as they are. An update first builds and reserves all
+   else it will need: where memory runs out, nothing has happened yet.
    --------------------------------------------------------------------------- */
 
 #define ZBUFRANDI_NIL (~0u)
-enum { ZBUFRANDI_TREELET = 2048, ZBUFRANDI_DEEP = 44 };
+enum { ZBUFRANDI_TREELET = 2048, ZBUFRANDI_DEEP = 44 /* levels below a root that edits make */ };
 
 typedef struct zbufrandi_use {    /* an instance */
     uint32_t structure, instance; /* the structure that it is in; NIL: none */
@@ -18200,7 +18128,8 @@ typedef struct zbufrandi_health { /* of a node of a tree */
     uint32_t up;                  /* 8 * parent + lane; NIL: the root. Of a node that is not in use: the next such */
     uint32_t leaves, edits;       /* leaves below; edits of them since the node was made */
     float cost, built;            /* half surfaces of all boxes below; this over its own when it was made */
-    uint32_t level;               /* below the root; only while nodes are made anew */
+    uint16_t level;               /* below the root; only while nodes are made anew */
+    uint16_t height;              /* levels of nodes below; during an update not less than that */
 } zbufrandi_health;
 
 typedef struct zbufrandi_live_structure {
@@ -18216,6 +18145,7 @@ typedef struct zbufrandi_live_structure {
     uint32_t dirty_count;
     uint32_t free_node, free_nodes, free_instance, free_instances; /* first, and how many */
     uint32_t promised;            /* nodes that are kept for what is yet to be put in by this update */
+    uint32_t spare;               /* and those for packing */
     uint32_t dead_clusters, dead_triangles, dead_vertices;
     uint32_t used;                /* 0: a slot for the next structure */
     uint32_t node;                /* of the graph */
@@ -18341,7 +18271,18 @@ ZBUFRANDI_INLINE float zbufrandi_lane_surface(const zbufrandi_node8 *n, uint32_t
     return x >= 0.0f ? x * y + y * z + z * x : 0.0f;
 }
 
-/* Leaves and cost of a node whose children are known. Returns the cost over its own half surface. */
+static uint16_t zbufrandi_live_height(const zbufrandi_structure *s, const zbufrandi_live_structure *l, uint32_t node) {
+    const zbufrandi_node8 *n = &s->node[node];
+    uint32_t i, height = 0;
+    for (i = 0; i < n->count; i++) {
+        if (ZBUFRANDI_CHILD_KIND(n->child[i]) == ZBUFRANDI_CHILD_NODE &&
+            l->health[ZBUFRANDI_CHILD_INDEX(n->child[i])].height >= height)
+            height = l->health[ZBUFRANDI_CHILD_INDEX(n->child[i])].height + 1u;
+    }
+    return (uint16_t)height;
+}
+
+/* Leaves, height and cost of a node whose children are known. Returns the cost over its own half surface. */
 static float zbufrandi_live_measure(const zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t node,
                                     int made) {
     const zbufrandi_node8 *n = &s->node[node];
@@ -18350,6 +18291,7 @@ static float zbufrandi_live_measure(const zbufrandi_structure *s, zbufrandi_live
     uint32_t i, a;
     zbufrandi_box_empty(lo, hi);
     h->leaves = 0;
+    h->height = zbufrandi_live_height(s, l, node);
     h->cost = 0.0f;
     for (i = 0; i < n->count; i++) {
         h->cost += zbufrandi_lane_surface(n, i);
@@ -18694,26 +18636,145 @@ static void zbufrandi_edit_take(zbufrand_scene *scene, uint32_t index, uint32_t 
     zbufrandi_edit_dirty(scene, index, node);
     for (;; node = up >> 3) {
         l->health[node].edits++;
+        l->health[node].leaves--;
         up = l->health[node].up;
         if (up == ZBUFRANDI_NIL) break;
     }
 }
 
-/* Put it in, at the lane where boxes grow least. There is room for a node. */
+/* A node as the next child of another; of its lane only the box, the rest follows later. */
+static void zbufrandi_edit_adopt(zbufrandi_structure *s, zbufrandi_live_structure *l, uint32_t node, uint32_t child) {
+    zbufrandi_health *h = &l->health[node];
+    const zbufrandi_node8 *n = &s->node[child];
+    const uint32_t to = s->node[node].count++;
+    zbufrandi_lane lane;
+    uint32_t i, a;
+    memset(&lane, 0, sizeof lane);
+    lane.cosine = -1.0f;
+    lane.area = 1.0f;
+    zbufrandi_box_empty(lane.lo, lane.hi);
+    for (i = 0; i < n->count; i++) {
+        for (a = 0; a < 3; a++) {
+            lane.lo[a] = n->lo[a][i] < lane.lo[a] ? n->lo[a][i] : lane.lo[a];
+            lane.hi[a] = n->hi[a][i] > lane.hi[a] ? n->hi[a][i] : lane.hi[a];
+        }
+    }
+    zbufrandi_lane_put(&s->node[node], to, &lane);
+    s->node[node].child[to] = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_NODE, child);
+    l->health[child].up = 8 * node + to;
+    h->leaves += l->health[child].leaves;
+    h->height = (uint16_t)(l->health[child].height >= h->height ? l->health[child].height + 1 : h->height);
+}
+
+/* An empty node behind the last of a chain by `up`. */
+static uint32_t zbufrandi_edit_chain(zbufrand_scene *scene, uint32_t index, uint32_t *first, uint32_t last) {
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    const uint32_t node = zbufrandi_edit_node(&scene->structure[index], l);
+    l->health[node].built = INFINITY;
+    if (last == ZBUFRANDI_NIL) *first = node;
+    else l->health[last].up = node;
+    zbufrandi_edit_dirty(scene, index, node);
+    return node;
+}
+
+/* What is below a node, packed: its leaves in order, eight to a node, and so upwards. Needs as many free nodes as there
+   are levels, and two: what is emptied is used again. */
+static void zbufrandi_edit_pack(zbufrand_scene *scene, uint32_t index, uint32_t top) {
+    zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    uint32_t first = ZBUFRANDI_NIL, last = ZBUFRANDI_NIL, node = top, lane = 0, count = 0, up, i;
+    while (node != top || lane < s->node[top].count) {
+        if (lane == s->node[node].count) {
+            up = l->health[node].up;
+            zbufrandi_edit_node_free(s, l, node);
+            node = up >> 3;
+            lane = (up & 7u) + 1;
+        } else if (ZBUFRANDI_CHILD_KIND(s->node[node].child[lane]) == ZBUFRANDI_CHILD_NODE) {
+            node = ZBUFRANDI_CHILD_INDEX(s->node[node].child[lane]);
+            lane = 0;
+        } else {
+            if (count++ % 8 == 0) last = zbufrandi_edit_chain(scene, index, &first, last);
+            zbufrandi_edit_lane(s, l, node, lane++, last, s->node[last].count++);
+            l->health[last].leaves++;
+        }
+    }
+    for (i = 0; i < 8; i++) zbufrandi_lane_clear(&s->node[top], i);
+    s->node[top].count = 0;
+    l->health[top].leaves = l->health[top].height = 0;
+    for (count = (count + 7) / 8; count > 8; count = (count + 7) / 8) { /* levels; one left over goes up as it is */
+        uint32_t next, end = ZBUFRANDI_NIL;
+        for (node = first, i = 0; i < count; i++, node = next) {
+            next = l->health[node].up;
+            if (i % 8 == 0 && i + 1 < count) end = zbufrandi_edit_chain(scene, index, &first, end);
+            if (i % 8 == 0 && i + 1 == count) l->health[end].up = node;
+            else zbufrandi_edit_adopt(s, l, end, node);
+        }
+    }
+    for (i = 0, node = first; i < count && count > 1; i++, node = up) {
+        up = l->health[node].up;
+        zbufrandi_edit_adopt(s, l, top, node);
+    }
+    for (i = 0; count == 1 && i < s->node[first].count; i++) zbufrandi_edit_lane(s, l, first, i, top, i);
+    if (count == 1) {
+        s->node[top].count = l->health[top].leaves = s->node[first].count;
+        zbufrandi_edit_node_free(s, l, first);
+    }
+    zbufrandi_edit_dirty(scene, index, top);
+}
+
+/* An item is in a node that has just become as deep as it is. Where that is too deep, the lowest subtree that is far
+   from balanced is packed: one with h levels below its top and less than 2^(5 h / 8) leaves; of more than 44 levels
+   that is the whole tree at the latest. */
+static void zbufrandi_edit_balance(zbufrand_scene *scene, uint32_t index, uint32_t item) {
+    const zbufrandi_structure *s = &scene->structure[index];
+    zbufrandi_live_structure *l = &scene->live->s[index];
+    for (;;) {
+        uint32_t node = l->at[item] >> 3, low = ZBUFRANDI_NIL, low_height = 0, height;
+        for (height = 0;; height++, node = l->health[node].up >> 3) {
+            zbufrandi_health *h = &l->health[node];
+            if (h->height < height) h->height = (uint16_t)height;
+            if (low == ZBUFRANDI_NIL && (height > ZBUFRANDI_DEEP || h->leaves >> (5 * height / 8) == 0)) {
+                low = node;
+                low_height = h->height;
+            }
+            if (h->up == ZBUFRANDI_NIL) break;
+        }
+        if (height <= ZBUFRANDI_DEEP ||
+            l->free_nodes + (l->node_capacity - s->node_count) < (size_t)l->promised + low_height + 2) return;
+        zbufrandi_edit_pack(scene, index, low);
+        for (node = low; l->health[node].up != ZBUFRANDI_NIL;) {
+            node = l->health[node].up >> 3;
+            l->health[node].height = zbufrandi_live_height(s, l, node);
+        }
+    }
+}
+
+/* Nodes that packing may need while so many items are put in. It takes seven to make a tree one level deeper; a subtree
+   that is packed may have a node more for each of its up to ten levels, which all but the deepest trees make up for by
+   what is not used of the one node that there is for each item. */
+static uint32_t zbufrandi_edit_spare(const zbufrandi_structure *s, const zbufrandi_live_structure *l, uint32_t items) {
+    const uint32_t height = s->node_count != 0 ? l->health[0].height : 0;
+    if (height + items / 7 + 2 < ZBUFRANDI_DEEP) return 0;
+    if (height + 2 <= ZBUFRANDI_DEEP) return ZBUFRANDI_DEEP + 32;
+    return height + 32 + 10 * items;
+}
+
+/* Put an instance in, at the lane where boxes grow least. There is room for a node. */
 static void zbufrandi_edit_put(zbufrand_scene *scene, uint32_t index, uint32_t child, const zbufrandi_lane *lane) {
     zbufrandi_structure *s = &scene->structure[index];
     zbufrandi_live_structure *l = &scene->live->s[index];
-    uint32_t node = 0, depth, i;
+    uint32_t node = 0, i;
     if (s->node_count == 0) {
         (void)zbufrandi_edit_node(s, l);
         l->health[0].up = ZBUFRANDI_NIL;
         l->health[0].built = INFINITY;
     }
-    for (depth = 0;; depth++) {
+    for (;;) {
         zbufrandi_node8 *n = &s->node[node];
         uint32_t best = 8, fresh;
         float least = INFINITY, size = 0.0f;
         l->health[node].edits++;
+        l->health[node].leaves++;
         for (i = 0; i < n->count; i++) {
             float lo[3], hi[3], own = zbufrandi_lane_surface(n, i), grown;
             uint32_t a;
@@ -18746,6 +18807,7 @@ static void zbufrandi_edit_put(zbufrand_scene *scene, uint32_t index, uint32_t c
             n->child[best] = ZBUFRANDI_CHILD(ZBUFRANDI_CHILD_NODE, fresh);
             l->health[fresh].up = 8 * node + best;
             l->health[fresh].built = INFINITY;
+            l->health[fresh].leaves = 2;
             zbufrandi_edit_dirty(scene, index, node);
             node = fresh;
             best = 1;
@@ -18754,7 +18816,7 @@ static void zbufrandi_edit_put(zbufrand_scene *scene, uint32_t index, uint32_t c
         s->node[node].child[best] = child;
         zbufrandi_live_place(s, l, child, 8 * node + best);
         zbufrandi_edit_dirty(scene, index, node);
-        if (depth > ZBUFRANDI_DEEP) l->health[0].edits = 0xffffffffu; /* to be made anew at once */
+        zbufrandi_edit_balance(scene, index, s->cluster_count + ZBUFRANDI_CHILD_INDEX(child));
         return;
     }
 }
@@ -18779,7 +18841,8 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
     if (at != ZBUFRANDI_NIL) {
         zbufrandi_node8 *n = &s->node[at >> 3];
         for (a = 0; a < 3; a++) apart |= lane.lo[a] > n->hi[a][at & 7u] || lane.hi[a] < n->lo[a][at & 7u];
-        if (!apart || l->free_nodes + (l->node_capacity - s->node_count) <= l->promised) {
+        if (!apart || l->free_nodes + (l->node_capacity - s->node_count) <= (size_t)l->promised + l->spare ||
+            (l->spare == 0 && zbufrandi_edit_spare(s, l, l->promised + 1) != 0)) {
             for (a = 0; a < 3; a++) {
                 n->lo[a][at & 7u] = lane.lo[a];
                 n->hi[a][at & 7u] = lane.hi[a];
@@ -18897,12 +18960,21 @@ static void zbufrandi_treelet_build(zbufrandi_build *b, zbufrandi_live_structure
     }
 }
 
-/* What is below a node, made anew: its upper parts, or `all` of it, in halves. Nothing happens if memory is short. */
-static void zbufrandi_edit_rebuild(zbufrandi_build *b, uint32_t top, int all) {
+/* Levels of a treelet that is made in halves. */
+static uint32_t zbufrandi_treelet_levels(uint32_t count) {
+    uint32_t levels = 0;
+    for (; count > 8; count -= count / 2) levels++;
+    return levels;
+}
+
+/* The upper parts of what is below a node, made anew. Nothing happens if memory is short, or if it could become too
+   deep. */
+static void zbufrandi_edit_rebuild(zbufrandi_build *b, uint32_t top) {
     zbufrand_scene *scene = b->scene;
     zbufrandi_mem *mem = &scene->mem;
     zbufrandi_live_structure *l = &scene->live->s[b->index];
-    const uint32_t most = all ? l->health[top].leaves + 8u : (uint32_t)ZBUFRANDI_TREELET + 8u;
+    const uint32_t most = ZBUFRANDI_TREELET + 8;
+    uint32_t need, i;
     zbufrandi_treelet t;
     size_t there;
     t.item = (zbufrandi_item *)zbufrandi_alloc_array(mem, most, sizeof *t.item);
@@ -18911,9 +18983,16 @@ static void zbufrandi_edit_rebuild(zbufrandi_build *b, uint32_t top, int all) {
     t.stack = (zbufrandi_range *)zbufrandi_alloc_array(mem, most, sizeof *t.stack);
     if (t.item != NULL && t.lane != NULL && t.node != NULL && t.stack != NULL) {
         zbufrandi_treelet_open(b->s, top, most - 8, &t);
+        for (i = need = 0; i < t.count; i++) {
+            const uint32_t at = ZBUFRANDI_CHILD_INDEX(t.item[i].child);
+            if (ZBUFRANDI_CHILD_KIND(t.item[i].child) == ZBUFRANDI_CHILD_NODE && l->health[at].height >= need)
+                need = l->health[at].height + 1u;
+        }
+        need += l->health[top].level + zbufrandi_treelet_levels(t.count);
         there = l->node_capacity - b->s->node_count + l->free_nodes + t.nodes;
-        if (there >= t.count || zbufrandi_edit_reserve(scene, b->index, 0, t.count)) {
-            zbufrandi_treelet_build(b, l, top, all ? 64u : 0u, &t);
+        if (need <= ZBUFRANDI_DEEP && (there >= t.count || zbufrandi_edit_reserve(scene, b->index, 0, t.count))) {
+            /* cuts are free for as many levels as there are to spare, at most 41 */
+            zbufrandi_treelet_build(b, l, top, need < 3 ? 0u : need - 3, &t);
         }
     }
     zbufrandi_free(mem, t.item);
@@ -18922,18 +19001,10 @@ static void zbufrandi_edit_rebuild(zbufrandi_build *b, uint32_t top, int all) {
     zbufrandi_free(mem, t.stack);
 }
 
-static void zbufrandi_sort_dirty(uint32_t *v, size_t n, const zbufrandi_health *h) { /* deepest first: Shell sort */
-    size_t gap, i, j;
-    for (gap = n / 2; gap > 0; gap = gap == 2 ? 1 : gap * 5 / 11) {
-        for (i = gap; i < n; i++) {
-            const uint32_t x = v[i];
-            for (j = i; j >= gap && (h[v[j - gap]].level < h[x].level ||
-                                     (h[v[j - gap]].level == h[x].level && v[j - gap] > x)); j -= gap) {
-                v[j] = v[j - gap];
-            }
-            v[j] = x;
-        }
-    }
+static void zbufrandi_sort_dirty(uint32_t *v, size_t n, const zbufrandi_health *h) { /* deepest first */
+#define ZBUFRANDI_LATER(a, b) (h[a].level < h[b].level || (h[a].level == h[b].level && (a) > (b)))
+    ZBUFRANDI_SORT(uint32_t, v, n, ZBUFRANDI_LATER);
+#undef ZBUFRANDI_LATER
 }
 
 /* Everything that follows from the touched leaves within a structure. */
@@ -18942,7 +19013,7 @@ static void zbufrandi_edit_refit(zbufrand_scene *scene, uint32_t index) {
     zbufrandi_live_structure *l = &scene->live->s[index];
     zbufrandi_build b;
     zbufrandi_leaf_job j;
-    uint32_t i, k, end, up, n = 0, forced = 0;
+    uint32_t i, k, end, up, n = 0;
     memset(&b, 0, sizeof b);
     memset(&j, 0, sizeof j);
     b.scene = scene;
@@ -18965,7 +19036,6 @@ static void zbufrandi_edit_refit(zbufrand_scene *scene, uint32_t index) {
     }
     l->dirty_count = n;
     zbufrandi_sort_dirty(l->dirty, n, l->health);
-    if (s->node_count != 0) forced = l->health[0].edits == 0xffffffffu;
     for (i = 0; i < n; i = end) {
         for (end = i + 1; end < n && l->health[l->dirty[end]].level == l->health[l->dirty[i]].level; end++) { }
         j.order = l->dirty + i;
@@ -18979,10 +19049,9 @@ static void zbufrandi_edit_refit(zbufrand_scene *scene, uint32_t index) {
             const float ratio = zbufrandi_live_measure(s, l, node, made);
             h = &l->health[node];
             if (!made && h->leaves >= 32 && h->edits >= h->leaves / 4 && ratio > 1.5f * h->built)
-                zbufrandi_edit_rebuild(&b, node, 0);
+                zbufrandi_edit_rebuild(&b, node);
         }
     }
-    if (forced && s->node_count != 0) zbufrandi_edit_rebuild(&b, 0, 1);
     l->dirty_count = 0;
     s->sum_stale = 1;
 }
@@ -19029,8 +19098,10 @@ static void zbufrandi_edit_finish(zbufrand_scene *scene) {
             }
         }
     }
-    for (i = 0; i < live->touched_count; i++)
-        live->s[live->touched[i]].touched = live->s[live->touched[i]].promised = 0;
+    for (i = 0; i < live->touched_count; i++) {
+        zbufrandi_live_structure *l = &live->s[live->touched[i]];
+        l->touched = l->promised = l->spare = 0;
+    }
     live->touched_count = 0;
 }
 
@@ -19193,9 +19264,9 @@ static uint32_t zbufrandi_edit_next(const zbufrandi_graph *g, uint32_t root, uin
 
 /* ---- what melted becomes a structure where it is ---- */
 
-/* One array of a structure's vertices or triangles, for the clusters of another. */
-static int zbufrandi_copy_array(zbufrandi_mem *mem, void **to, const void *from, size_t count, size_t size,
-                                size_t pad) { /* room for it; 0: no memory */
+/* Room for one array of vertices or triangles, where the structure that they will come from has it. 0: no memory. */
+static int zbufrandi_reserve_like(zbufrandi_mem *mem, void **to, const void *from, size_t count, size_t size,
+                                  size_t pad) {
     return from == NULL || zbufrandi_reserve(mem, to, 0, count, size, pad);
 }
 
@@ -19259,15 +19330,16 @@ static zbufrand_result zbufrandi_promote_build(zbufrandi_build *b, uint32_t home
             break;
         }
         memcpy(s->origin, from->origin, sizeof s->origin);
-        if (!zbufrandi_copy_array(mem, (void **)&s->position, from->position, all.vertex_count, 12, 96) ||
-            !zbufrandi_copy_array(mem, (void **)&s->vertex_normal, from->vertex_normal, all.vertex_count, 2, 16) ||
-            !zbufrandi_copy_array(mem, (void **)&s->vertex_rgb, from->vertex_rgb, all.vertex_count, 3, 16) ||
-            !zbufrandi_copy_array(mem, (void **)&s->triangle, from->triangle, all.triangle_count, 3, 48) ||
-            !zbufrandi_copy_array(mem, (void **)&s->triangle_rgb, from->triangle_rgb, all.triangle_count, 3, 16) ||
-            !zbufrandi_copy_array(mem, (void **)&s->triangle_id, from->triangle_id, all.triangle_count, 4, 0) ||
-            !zbufrandi_copy_array(mem, (void **)&s->cluster, from->cluster, all.cluster_count, sizeof *s->cluster, 0) ||
-            !zbufrandi_copy_array(mem, (void **)&s->instance, from->instance, all.instance_count,
-                                  sizeof *s->instance, 0)) {
+        if (!zbufrandi_reserve_like(mem, (void **)&s->position, from->position, all.vertex_count, 12, 96) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->vertex_normal, from->vertex_normal, all.vertex_count, 2, 16) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->vertex_rgb, from->vertex_rgb, all.vertex_count, 3, 16) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->triangle, from->triangle, all.triangle_count, 3, 48) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->triangle_rgb, from->triangle_rgb, all.triangle_count, 3, 16) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->triangle_id, from->triangle_id, all.triangle_count, 4, 0) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->cluster, from->cluster, all.cluster_count, sizeof *s->cluster,
+                                    0) ||
+            !zbufrandi_reserve_like(mem, (void **)&s->instance, from->instance, all.instance_count,
+                                    sizeof *s->instance, 0)) {
             return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "node %: out of memory");
         }
     }
@@ -19367,7 +19439,9 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
                             ZBUFRANDI_MAX_LEVELS) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_RANGE, node, "node %: too many levels of instances");
     }
-    if (r == ZBUFRAND_OK && (!zbufrandi_edit_reserve(scene, home, 1, 1) || !zbufrandi_edit_ready(scene, p, node))) {
+    if (r == ZBUFRAND_OK && (!zbufrandi_edit_reserve(scene, home, 1, 1 + zbufrandi_edit_spare(
+                                 &scene->structure[home], &scene->live->s[home], 1)) ||
+                             !zbufrandi_edit_ready(scene, p, node))) {
         r = zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, node, "node %: out of memory");
     }
     if (r != ZBUFRAND_OK) {
@@ -19402,12 +19476,31 @@ static zbufrand_result zbufrandi_edit_no_memory(const zbufrand_scene *scene) {
     return zbufrandi_fail(scene->env.error, ZBUFRAND_ERR_NO_MEMORY, 0, "no memory for the edits");
 }
 
+/* Lists before what is in them, otherwise in the order in which they were met. 0: no memory. */
+static int zbufrandi_edit_order(zbufrandi_edit *e) {
+    zbufrandi_mem *mem = &e->scene->mem;
+    const size_t n = e->melted.count;
+    uint64_t *key = (uint64_t *)zbufrandi_alloc_array(mem, n, sizeof *key + sizeof(uint32_t));
+    uint32_t *node;
+    size_t i;
+    if (key == NULL) return 0;
+    node = (uint32_t *)(void *)(key + n);
+    for (i = 0; i < n; i++) {
+        node[i] = e->melted.v[i];
+        key[i] = (uint64_t)zbufrandi_edit_depth(e->scene->graph, node[i]) << 32 | i;
+    }
+    ZBUFRANDI_SORT(uint64_t, key, n, ZBUFRANDI_GREATER);
+    for (i = 0; i < n; i++) e->melted.v[i] = node[(uint32_t)key[i]];
+    zbufrandi_free(mem, key);
+    return 1;
+}
+
 /* What is new, and what becomes a structure. */
 static zbufrand_result zbufrandi_edit_plan(zbufrandi_edit *e) {
     zbufrand_scene *scene = e->scene;
     zbufrandi_graph *g = scene->graph;
     zbufrand_result r = ZBUFRAND_OK;
-    size_t i, k;
+    size_t i;
     int below_new;
     if (scene->stamp > 0x70000000u) {
         for (i = 0; i < scene->graph_count; i++) g[i].state = 0;
@@ -19426,12 +19519,7 @@ static zbufrand_result zbufrandi_edit_plan(zbufrandi_edit *e) {
             if (!zbufrandi_nodes_add(scene, &e->melted, p->node)) r = ZBUFRAND_ERR_NO_MEMORY;
         }
     }
-    for (i = 1; i < e->melted.count; i++) { /* lists before what is in them */
-        const uint32_t x = e->melted.v[i], depth = zbufrandi_edit_depth(g, x);
-        for (k = i; k > 0 && zbufrandi_edit_depth(g, e->melted.v[k - 1]) > depth; k--)
-            e->melted.v[k] = e->melted.v[k - 1];
-        e->melted.v[k] = x;
-    }
+    if (r == ZBUFRAND_OK && e->melted.count > 1 && !zbufrandi_edit_order(e)) r = ZBUFRAND_ERR_NO_MEMORY;
     return r == ZBUFRAND_ERR_NO_MEMORY ? zbufrandi_edit_no_memory(scene) : r;
 }
 
@@ -19558,7 +19646,7 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
     size_t i, k;
     int more = 1, ok = instances != NULL, deep = 0;
     if (!ok) return zbufrandi_edit_no_memory(scene);
-    for (i = 0; i < count; i++) live[i].promised = 0;
+    for (i = 0; i < count; i++) live[i].promised = live[i].spare = 0;
     for (i = 0; i < e->change_count; i++) {
         const uint32_t home = e->change[i].home, item = e->change[i].item;
         if (item == ZBUFRANDI_NIL) instances[home]++;
@@ -19600,8 +19688,10 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
         }
     }
     for (i = 0; ok && !deep && i < count; i++) {
-        if ((nodes[i] & 0x7fffffffu) == 0) continue;
-        ok = zbufrandi_edit_reserve(scene, (uint32_t)i, instances[i], nodes[i] & 0x7fffffffu);
+        nodes[i] &= 0x7fffffffu;
+        if (nodes[i] == 0) continue;
+        live[i].spare = zbufrandi_edit_spare(&scene->structure[i], &live[i], nodes[i]);
+        ok = zbufrandi_edit_reserve(scene, (uint32_t)i, instances[i], (size_t)nodes[i] + live[i].spare);
     }
     for (i = 0; ok && !deep && i < e->change_count; i++)
         ok = zbufrandi_edit_attributes(scene, e->change[i].home, &scene->structure[e->change[i].it.structure]);

@@ -85,7 +85,7 @@ static const model *get_model(int id) {
 
 /* ---- trees: kept until drop_trees ---- */
 
-enum { KIND_DEFAULT, KIND_PEER }; /* PEER: every voxel that is touched, in the cube that the peers' voxeliser uses */
+enum { KIND_DEFAULT, KIND_PEER, KIND_PLANES }; /* PEER: every voxel that is touched, in the cube that the peers' voxeliser uses */
 
 typedef struct tree_slot {
     int id, kind;
@@ -127,6 +127,7 @@ static const voxrt_tree *get_tree(int id, uint32_t resolution, int kind) {
         d.separating = VOXRT_SEPARATING_26;
         peer_box(&m->mesh, &d);
     }
+    d.planes = kind == KIND_PLANES;
     must(voxrt_tree_build(&d, &mesh, NULL, &g_trees[g_tree_count].tree), "build");
     g_trees[g_tree_count].id = id;
     g_trees[g_tree_count].kind = kind;

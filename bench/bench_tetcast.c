@@ -529,6 +529,7 @@ static void integrators(int tf, uint32_t size) {
 static void bm2(void) {
     integrators(TF_SMOOTH, 256);
     integrators(TF_PEAK, 256);
+    integrators(TF_TABLE, 256);
     if (g_opt.full) integrators(TF_STEP, 256);
 }
 

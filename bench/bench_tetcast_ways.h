@@ -4,7 +4,7 @@
    BM45 functions: by tiles, by cells, decoded to bricks     BM50 shaders of the caller
    BM46 the encoder by the number of points                  BM51 clipping by bodies
    BM47 planes through cells, bricks and functions           BM52 frames in tiles, coded and put together again
-   BM48 adaptive bricks and plain grids                      BM53 one volume in three ways
+   BM48 adaptive bricks and plain grids                      BM53 one volume by all structures
    BM49 opacity of slices at borders of levels, step against error
    Included by bench_tetcast.c after its other parts. */
 #ifndef BENCH_TETCAST_WAYS_H
@@ -742,13 +742,26 @@ static void bm52(void) {
     tetcast_transfer_destroy(t);
 }
 
-/* ---- BM53 ---- */
+/* ---- BM53: one volume, one picture, by all structures ---- */
 
-static void ways_three(const char *kind, double frame_s, double made, double bytes, const float *a, const float *exact) {
-    const double rms = ways_rms(a, exact, (size_t)SIZE * SIZE) / 255.0;
-    bench_line("tetcast.three", kind, "frame_seconds", frame_s, "s");
+typedef struct three {
+    const tetcast_mesh *mesh;
+    const tets *source;
+    tetcast_transfer *transfer;
+    tetcast_optics *optics;
+    tetcast_camera camera;
+    tetcast_image image;      /* of the way that is being looked at */
+    float *exact;             /* the picture of the exact integrator */
+    float lo, hi;
+} three;
+
+static void three_line(const three *w, const char *method, double setting, double frame_s, double made, double bytes) {
+    const double rms = ways_rms(w->image.rgba, w->exact, (size_t)SIZE * SIZE) / 255.0;
+    bench_line("tetcast.three", g_mesh_name[MESH_D31K], "frame_seconds", frame_s, "s");
     bench_num("error", 255.0 * rms);
     bench_text("error_unit", "1/255 rms to tetrahedra");
+    bench_text("method", method);
+    bench_num("setting", setting);
     bench_num("psnr", rms > 0.0 ? -20.0 * log10(rms) : 200.0);
     bench_num("build_seconds", made);
     bench_num("bytes", bytes);
@@ -756,88 +769,139 @@ static void ways_three(const char *kind, double frame_s, double made, double byt
     bench_end();
 }
 
-static void bm53(void) {
-    const tetcast_mesh *mesh = get_mesh(MESH_D31K);
-    const tets *source = get_tets(MESH_D31K);
-    tetcast_transfer *t = NULL;
-    tetcast_optics *o;
-    tetcast_bricks *b = NULL;
-    tetcast_bricks_desc bd;
-    tetcast_bricks_report report;
-    tetcast_cut *cut = NULL;
+static void three_tetrahedra(three *w) {
     tetcast_mesh_info info;
-    rbf_encode e;
-    frame f;
-    brick_frame bf;
-    rbf_frame rf;
-    float lo = 0.0f, hi = 1.0f, *exact = (float *)must_alloc((size_t)SIZE * SIZE, 16), *other = (float *)must_alloc((size_t)SIZE * SIZE, 16);
-    double s;
-    if (mesh == NULL || source == NULL) {
-        free(exact);
-        free(other);
-        return;
+    int i;
+    tetcast_mesh_get_info(w->mesh, &info);
+    for (i = 0; i < 2; i++) {
+        frame f;
+        double s;
+        memset(&f, 0, sizeof f);
+        f.d.camera = w->camera;
+        f.d.env.thread_count = 1;
+        f.d.method = i == 0 ? TETCAST_METHOD_WALK : TETCAST_METHOD_PROJECT;
+        f.mesh = w->mesh;
+        f.optics = w->optics;
+        f.image = w->image;
+        s = fastest(run_frame, &f, 2);
+        if (i == 0) memcpy(w->exact, w->image.rgba, (size_t)SIZE * SIZE * 16);
+        three_line(w, i == 0 ? "tetrahedra" : "tetrahedra, projected", 0.0, s, 0.0, (double)info.total_bytes);
     }
-    (void)tetcast_mesh_field(mesh, 0, &lo, &hi);
-    o = ways_optics((double)lo, (double)hi, 0.3, &t);
-    memset(&f, 0, sizeof f);
-    memset(&bf, 0, sizeof bf);
-    memset(&rf, 0, sizeof rf);
-    memset(&bd, 0, sizeof bd);
-    memset(&e, 0, sizeof e);
-    tetcast_mesh_get_info(mesh, &info);
-    place_camera(&f.d.camera, mesh);
-    f.d.env.thread_count = 1;
-    f.mesh = mesh;
-    f.optics = o;
-    f.image.width = f.image.height = SIZE;
-    f.image.rgba = exact;
-    s = fastest(run_frame, &f, 2);
-    ways_three("tetrahedra", s, 0.0, (double)info.total_bytes, exact, exact);
-    bd.env.thread_count = 1;
-    bd.storage = TETCAST_TYPE_F16;
-    bd.max_error = 0.02f * (hi - lo);
-    bd.longest_end = 257;
-    s = bench_cpu();
-    must(tetcast_bricks_create_mesh(&bd, mesh, &report, &b), "bricks");
-    must(tetcast_cut_create(NULL, b, &cut), "cut");
-    s = bench_cpu() - s;
-    bf.cut = cut;
-    bf.optics = o;
-    bf.d.camera = f.d.camera;
-    bf.d.env.thread_count = 1;
-    bf.d.no_hull = 1;
-    bf.image = f.image;
-    bf.image.rgba = other;
-    {
-        const double drawn = fastest(run_brick_frame, &bf, 2);
-        ways_three("bricks", drawn, s, (double)tetcast_bricks_file_size(b), other, exact);
+}
+
+static void three_bricks(three *w) {
+    static const struct { float error, step; } ways[] = {
+        {0.3f, 1}, {0.15f, 1}, {0.08f, 1}, {0.02f, 1}, {0.02f, 8}, {0.02f, 4}, {0.02f, 2}, {0.02f, 0.5f}
+    };
+    int i;
+    for (i = 0; i < 8; i++) { /* by what the bricks leave out, and by steps */
+        tetcast_bricks_desc d;
+        tetcast_bricks *b = NULL;
+        tetcast_cut *cut = NULL;
+        brick_frame f;
+        double s, made = bench_cpu();
+        memset(&d, 0, sizeof d);
+        memset(&f, 0, sizeof f);
+        d.env.thread_count = 1;
+        d.storage = TETCAST_TYPE_F16;
+        d.max_error = ways[i].error * (w->hi - w->lo);
+        d.longest_end = 257;
+        must(tetcast_bricks_create_mesh(&d, w->mesh, NULL, &b), "bricks");
+        must(tetcast_cut_create(NULL, b, &cut), "cut");
+        made = bench_cpu() - made;
+        f.cut = cut;
+        f.optics = w->optics;
+        f.d.camera = w->camera;
+        f.d.env.thread_count = 1;
+        f.d.no_hull = 1;
+        f.d.step = ways[i].step;
+        f.image = w->image;
+        s = fastest(run_brick_frame, &f, 2);
+        three_line(w, i < 4 ? "bricks, error of values" : "bricks, steps", (double)(i < 4 ? ways[i].error : ways[i].step), s, made,
+                   (double)tetcast_bricks_file_size(b));
+        tetcast_cut_destroy(cut);
+        tetcast_bricks_destroy(b);
     }
-    e.p.values.data = source->s;
-    e.p.positions.data = source->p;
-    e.p.positions.type = TETCAST_TYPE_F64;
-    e.p.tets = source->t;
-    e.p.tet_count = source->nt;
-    e.p.count = source->nv;
-    e.p.components = 1;
-    e.d.max_error = 0.02f;
-    e.d.env.thread_count = 1;
-    s = fastest(rbf_run_encode, &e, 1);
-    rf.m = e.m;
-    rf.o = o;
-    rf.d.camera = f.d.camera;
-    rf.d.env.thread_count = 1;
-    rf.image = bf.image;
-    {
-        const double drawn = fastest(rbf_run_frame, &rf, 2);
-        ways_three("functions", drawn, s, (double)e.report.bytes, other, exact);
+}
+
+static void three_functions(three *w) {
+    static const float error[] = {0.2f, 0.1f, 0.05f, 0.02f};
+    int i;
+    for (i = 0; i < 4; i++) {
+        rbf_encode e;
+        rbf_frame f;
+        double s, made;
+        memset(&e, 0, sizeof e);
+        memset(&f, 0, sizeof f);
+        e.p.values.data = w->source->s;
+        e.p.positions.data = w->source->p;
+        e.p.positions.type = TETCAST_TYPE_F64;
+        e.p.tets = w->source->t;
+        e.p.tet_count = w->source->nt;
+        e.p.count = w->source->nv;
+        e.p.components = 1;
+        e.d.max_error = error[i];
+        e.d.env.thread_count = 1;
+        made = fastest(rbf_run_encode, &e, 1);
+        f.m = e.m;
+        f.o = w->optics;
+        f.d.camera = w->camera;
+        f.d.env.thread_count = 1;
+        f.image = w->image;
+        s = fastest(rbf_run_frame, &f, 2);
+        three_line(w, "functions", (double)error[i], s, made, (double)e.report.bytes);
+        tetcast_rbf_destroy(e.m);
     }
-    free(exact);
-    free(other);
-    tetcast_cut_destroy(cut);
-    tetcast_bricks_destroy(b);
-    tetcast_rbf_destroy(e.m);
-    tetcast_optics_destroy(o);
-    tetcast_transfer_destroy(t);
+}
+
+/* Cells of constant colour around the vertices. */
+static void three_foam(three *w) {
+    tetcast_foam_info info;
+    foam_job j;
+    double s, made;
+    size_t i;
+    memset(&j, 0, sizeof j);
+    j.sites = (tetcast_site *)must_alloc(w->source->nv, sizeof *j.sites);
+    j.count = w->source->nv;
+    for (i = 0; i < j.count; i++) {
+        float rgba[4];
+        tetcast_transfer_eval(w->transfer, w->source->s[i], rgba);
+        memcpy(j.sites[i].position, w->source->p + 3 * i, sizeof j.sites[i].position);
+        memcpy(j.sites[i].rgb, rgba, sizeof j.sites[i].rgb);
+        j.sites[i].extinction = rgba[3];
+    }
+    made = fastest(run_foam, &j, 1);
+    tetcast_foam_get_info(j.foam, &info);
+    j.d.env.thread_count = 1;
+    j.d.camera = w->camera;
+    j.image = w->image;
+    s = fastest(run_foam_frame, &j, 2);
+    three_line(w, "foam", (double)j.count, s, made, (double)info.bytes);
+    tetcast_foam_destroy(j.foam);
+    free(j.sites);
+}
+
+static void bm53(void) {
+    three w;
+    memset(&w, 0, sizeof w);
+    w.mesh = get_mesh(MESH_D31K);
+    w.source = get_tets(MESH_D31K);
+    if (w.mesh == NULL || w.source == NULL) return;
+    w.hi = 1.0f;
+    (void)tetcast_mesh_field(w.mesh, 0, &w.lo, &w.hi);
+    w.optics = ways_optics((double)w.lo, (double)w.hi, 0.3, &w.transfer);
+    place_camera(&w.camera, w.mesh);
+    w.exact = (float *)must_alloc((size_t)SIZE * SIZE, 16);
+    w.image.width = w.image.height = SIZE;
+    w.image.rgba = (float *)must_alloc((size_t)SIZE * SIZE, 16);
+    three_tetrahedra(&w);
+    three_bricks(&w);
+    three_functions(&w);
+    three_foam(&w);
+    free(w.image.rgba);
+    free(w.exact);
+    tetcast_optics_destroy(w.optics);
+    tetcast_transfer_destroy(w.transfer);
 }
 
 #endif

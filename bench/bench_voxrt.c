@@ -1583,51 +1583,90 @@ static double rmse(const uint8_t *a, const uint8_t *b, size_t pixels) { /* of R,
     return sqrt(sum / (3.0 * (double)pixels));
 }
 
+/* Trees and octrees have the same voxels; those with planes have pictures of their own, also as the reference. */
+enum { PARETO_TREE, PARETO_PLANES, PARETO_OCTREE };
+typedef struct pareto_way { const char *name; int of; uint32_t samples; float tolerance; uint32_t object, faces, blend; } pareto_way;
+
+static frame_job pareto_frame(const voxrt_tree *tree, const voxrt_octree *octree, voxrt_geometry *geometry, const pareto_way *way) {
+    frame_job f = make_frame(tree);
+    f.desc.samples = way->samples;
+    f.desc.tolerance = way->tolerance;
+    f.desc.object_lod = way->object;
+    f.desc.face_normals = way->faces;
+    f.desc.blend = way->blend;
+    if (way->of == PARETO_OCTREE) {
+        voxrt_octree_geometry(octree, geometry);
+        f.tree = NULL;
+        f.desc.geometry = geometry;
+        f.desc.geometry_count = 1;
+        if (way->tolerance > 0.0f) {
+            const float spread = (float)(2.0 * tan((double)f.desc.camera.fov_y * (3.14159265358979323846 / 360.0)) / HEIGHT);
+            f.desc.max_level_plus_1 = voxrt_octree_lod_level(octree, f.desc.camera.eye, spread, way->tolerance) + 1;
+            f.desc.tolerance = 0.0f;
+        }
+    }
+    return f;
+}
+
 static void pareto(int id, uint32_t resolution) {
-    enum { WAYS = 19 };
-    static const struct { const char *name; uint32_t samples; float tolerance; int object, faces; } ways[WAYS] = {
-        {"full detail", 1, 0.0f, 0, 0}, {"full detail", 2, 0.0f, 0, 0}, {"full detail", 4, 0.0f, 0, 0}, {"full detail", 8, 0.0f, 0, 0},
-        {"tolerance, 1 ray", 1, 0.5f, 0, 0}, {"tolerance, 1 ray", 1, 1.0f, 0, 0}, {"tolerance, 1 ray", 1, 1.41f, 0, 0},
-        {"tolerance, 1 ray", 1, 2.0f, 0, 0}, {"tolerance, 1 ray", 1, 4.0f, 0, 0}, {"tolerance, 1 ray", 1, 8.0f, 0, 0},
-        {"tolerance, 4 rays", 4, 0.5f, 0, 0}, {"tolerance, 4 rays", 4, 1.0f, 0, 0}, {"tolerance, 4 rays", 4, 2.0f, 0, 0},
-        {"tolerance, 4 rays", 4, 4.0f, 0, 0},
-        {"one level, 1 ray", 1, 1.0f, 1, 0}, {"one level, 1 ray", 1, 2.0f, 1, 0}, {"one level, 1 ray", 1, 4.0f, 1, 0},
-        {"one level, 1 ray", 1, 8.0f, 1, 0},
-        {"full detail, normals of faces", 1, 0.0f, 0, 1}
+    static const pareto_way ways[] = {
+        {"full detail", PARETO_TREE, 1, 0.0f, 0, 0, 0}, {"full detail", PARETO_TREE, 2, 0.0f, 0, 0, 0},
+        {"full detail", PARETO_TREE, 4, 0.0f, 0, 0, 0}, {"full detail", PARETO_TREE, 8, 0.0f, 0, 0, 0},
+        {"tolerance, 1 ray", PARETO_TREE, 1, 0.5f, 0, 0, 0}, {"tolerance, 1 ray", PARETO_TREE, 1, 1.0f, 0, 0, 0},
+        {"tolerance, 1 ray", PARETO_TREE, 1, 1.41f, 0, 0, 0}, {"tolerance, 1 ray", PARETO_TREE, 1, 2.0f, 0, 0, 0},
+        {"tolerance, 1 ray", PARETO_TREE, 1, 4.0f, 0, 0, 0}, {"tolerance, 1 ray", PARETO_TREE, 1, 8.0f, 0, 0, 0},
+        {"tolerance, 4 rays", PARETO_TREE, 4, 0.5f, 0, 0, 0}, {"tolerance, 4 rays", PARETO_TREE, 4, 1.0f, 0, 0, 0},
+        {"tolerance, 4 rays", PARETO_TREE, 4, 2.0f, 0, 0, 0}, {"tolerance, 4 rays", PARETO_TREE, 4, 4.0f, 0, 0, 0},
+        {"one level, 1 ray", PARETO_TREE, 1, 1.0f, 1, 0, 0}, {"one level, 1 ray", PARETO_TREE, 1, 2.0f, 1, 0, 0},
+        {"one level, 1 ray", PARETO_TREE, 1, 4.0f, 1, 0, 0}, {"one level, 1 ray", PARETO_TREE, 1, 8.0f, 1, 0, 0},
+        {"tolerance, levels blended", PARETO_TREE, 1, 0.5f, 0, 0, 1}, {"tolerance, levels blended", PARETO_TREE, 1, 1.0f, 0, 0, 1},
+        {"tolerance, levels blended", PARETO_TREE, 1, 2.0f, 0, 0, 1}, {"tolerance, levels blended", PARETO_TREE, 1, 4.0f, 0, 0, 1},
+        {"voxels with planes", PARETO_PLANES, 1, 0.0f, 0, 0, 0}, {"voxels with planes", PARETO_PLANES, 2, 0.0f, 0, 0, 0},
+        {"voxels with planes", PARETO_PLANES, 4, 0.0f, 0, 0, 0}, {"voxels with planes", PARETO_PLANES, 8, 0.0f, 0, 0, 0},
+        {"planes, tolerance", PARETO_PLANES, 1, 1.0f, 0, 0, 0}, {"planes, tolerance", PARETO_PLANES, 1, 2.0f, 0, 0, 0},
+        {"planes, tolerance", PARETO_PLANES, 1, 4.0f, 0, 0, 0},
+        {"octree of the thesis", PARETO_OCTREE, 1, 0.0f, 0, 0, 0}, {"octree of the thesis", PARETO_OCTREE, 2, 0.0f, 0, 0, 0},
+        {"octree of the thesis", PARETO_OCTREE, 4, 0.0f, 0, 0, 0},
+        {"octree, one level", PARETO_OCTREE, 1, 1.0f, 0, 0, 0}, {"octree, one level", PARETO_OCTREE, 1, 2.0f, 0, 0, 0},
+        {"octree, one level", PARETO_OCTREE, 1, 4.0f, 0, 0, 0}, {"octree, one level", PARETO_OCTREE, 1, 8.0f, 0, 0, 0},
+        {"full detail, normals of faces", PARETO_TREE, 1, 0.0f, 0, 1, 0}
     };
-    const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT);
+    enum { WAYS = sizeof ways / sizeof ways[0] };
+    const voxrt_tree *tree = get_tree(id, resolution, KIND_DEFAULT), *planes = get_tree(id, resolution, KIND_PLANES);
     const size_t pixels = (size_t)WIDTH * HEIGHT;
-    frame_job f[WAYS], many;
+    voxrt_octree *octree;
+    voxrt_geometry geometry;
+    frame_job f[WAYS], many[2];
     bench_job b[WAYS];
     char kase[64];
     int i;
-    if (tree == NULL) {
+    if (tree == NULL || planes == NULL) {
         bench_skip("voxrt.tolerance", g_models[id].name, "no such file");
         return;
     }
+    octree = make_octree(tree);
     snprintf(kase, sizeof kase, "%s-%u", g_models[id].name, resolution);
     memset(b, 0, sizeof b);
     for (i = 0; i < WAYS; i++) {
-        f[i] = make_frame(tree);
-        f[i].desc.samples = ways[i].samples;
-        f[i].desc.tolerance = ways[i].tolerance;
-        f[i].desc.object_lod = (uint32_t)ways[i].object;
-        f[i].desc.face_normals = (uint32_t)ways[i].faces;
+        f[i] = pareto_frame(ways[i].of == PARETO_PLANES ? planes : tree, octree, &geometry, &ways[i]);
         b[i].name = ways[i].name;
         b[i].run = run_frame;
         b[i].ctx = &f[i];
     }
-    many = make_frame(tree); /* what a pixel should show: the mean of many rays */
-    many.desc.samples = 64;
-    many.desc.env.thread_count = (uint32_t)g_opt.threads;
-    run_frame(&many);
+    for (i = 0; i < 2; i++) { /* what a pixel should show: the mean of many rays */
+        many[i] = make_frame(i == 0 ? tree : planes);
+        many[i].desc.samples = 64;
+        many[i].desc.env.thread_count = (uint32_t)g_opt.threads;
+        run_frame(&many[i]);
+    }
     bench_interleave(b, WAYS, ROUNDS);
     for (i = 0; i < WAYS; i++) {
         bench_line("voxrt.tolerance", kase, "frame_time", 1e3 * bench_seconds(&b[i]), "ms");
         bench_num("best", 1e3 * bench_seconds_best(&b[i]));
-        bench_num("error", rmse(f[i].image.rgba8, many.image.rgba8, pixels));
+        bench_num("error", rmse(f[i].image.rgba8, many[ways[i].of == PARETO_PLANES].image.rgba8, pixels));
         bench_text("error_unit", "RMSE/255 to 64 rays a pixel");
         bench_text("method", ways[i].name);
+        bench_num("samples", ways[i].samples);
         bench_num("tolerance_px", (double)ways[i].tolerance);
         bench_num("rmse_full_detail", rmse(f[i].image.rgba8, f[0].image.rgba8, pixels));
         bench_num("threads", 1);
@@ -1635,7 +1674,8 @@ static void pareto(int id, uint32_t resolution) {
         bench_end();
     }
     for (i = 0; i < WAYS; i++) free(f[i].image.rgba8);
-    free(many.image.rgba8);
+    for (i = 0; i < 2; i++) free(many[i].image.rgba8);
+    voxrt_octree_destroy(octree);
 }
 
 static void bm13(void) {

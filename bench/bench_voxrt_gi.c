@@ -482,6 +482,7 @@ typedef struct light_job {
     baseline_light_desc base;     /* with rays: the thesis' way instead */
     uint32_t base_filter;
     int anew;                     /* as if light had changed: nothing is known of it on cells, in maps */
+    uint32_t frames;              /* so many of still things, the later ones with what those before have found */
     float *out;
     voxrt_stats stats;
 } light_job;
@@ -494,6 +495,14 @@ static void run_light(void *ctx) {
     size_t i;
     memset(&j->stats, 0, sizeof j->stats);
     if (j->anew) voxrti_gi_darken(j->w->gi);
+    if (j->frames > 0) {
+        voxrt_gi_render_desc d = j->d;
+        must(voxrt_gi_history_create(NULL, &d.history), "history");
+        for (i = 0; i < j->frames; i++, d.first_ray += d.rays)
+            must(voxrt_gi_render(&d, j->w->gi, g, NULL, j->out, &j->stats), "light");
+        voxrt_gi_history_destroy(d.history);
+        return;
+    }
     if (j->base.rays == 0) {
         must(voxrt_gi_render(&j->d, j->w->gi, g, NULL, j->out, &j->stats), "light");
         return;
@@ -1261,13 +1270,54 @@ static float *sparse_reference(world *w, uint32_t rays, uint32_t first) {
     return out;
 }
 
-typedef struct setting { uint32_t rays, filter, coarse; int thesis; /* 2: its virtual lights; 3: ours */ } setting;
+typedef enum way {
+    WAY_GATHER, WAY_THESIS, WAY_THESIS_LIGHTS, WAY_LIGHTS, WAY_PATHS, WAY_FRAMES, WAY_NOISE /* rays: as many pictures; 1/1000 */
+} way;
+typedef struct setting { uint32_t rays, filter, coarse; way way; } setting;
+
+static const char *setting_name(const setting *s) {
+    switch (s->way) {
+    case WAY_THESIS: return "thesis, filter";
+    case WAY_THESIS_LIGHTS: return "virtual lights as in the thesis, filter";
+    case WAY_LIGHTS: return "virtual lights, filter";
+    case WAY_PATHS: return "paths, filter";
+    case WAY_FRAMES: return "history, pictures of 4 rays, filter";
+    case WAY_NOISE: return "as much noise as asked for, filter";
+    case WAY_GATHER: break;
+    }
+    return s->coarse > 1 ? "coarse mesh and filter" : s->filter == 0 ? "gathering" :
+        s->filter < 6 ? "gathering, filter 3 or 4" : "gathering, filter 6";
+}
+
+static light_job setting_job(world *w, const setting *s) {
+    light_job j = s->way == WAY_THESIS ? thesis_of(w, s->rays, 1, 0.0f) : light_of(w, s->rays);
+    if (s->way == WAY_THESIS) j.base_filter = s->filter;
+    else j.d.filter = s->filter;
+    j.d.coarse = s->coarse;
+    if (s->way == WAY_LIGHTS || s->way == WAY_THESIS_LIGHTS) j.d.method = VOXRT_GI_VPL;
+    if (s->way == WAY_THESIS_LIGHTS) j.d.d_min = (float)(16.0 * w->gi->columns->diagonal * w->gi->columns->diagonal);
+    if (s->way == WAY_PATHS) j.d.method = VOXRT_GI_PATH;
+    if (s->way == WAY_FRAMES) {
+        j.frames = s->rays;
+        j.d.rays = 4;
+    }
+    if (s->way == WAY_NOISE) {
+        j.d.tolerance = 1e-3f * (float)s->rays;
+        j.d.rays = 0;
+    }
+    return j;
+}
 
 static void error_scene(const char *name, double *share) {
     static const setting settings[] = {
-        {32, 3, 1, 1}, {1, 6, 1, 0}, {2, 6, 1, 0}, {4, 6, 1, 0}, {6, 6, 1, 0}, {8, 6, 1, 0}, {8, 4, 1, 0}, {16, 3, 1, 0},
-        {1, 3, 1, 1}, {4, 3, 1, 1}, {16, 3, 1, 1}, {1, 3, 1, 0}, {4, 3, 1, 0}, {1, 0, 1, 0}, {8, 0, 1, 0}, {16, 3, 8, 0},
-        {4, 3, 1, 2}, {24, 3, 1, 2}, {4, 3, 1, 3}, {24, 3, 1, 3}
+        {32, 3, 1, WAY_THESIS}, {1, 6, 1, WAY_GATHER}, {2, 6, 1, WAY_GATHER}, {4, 6, 1, WAY_GATHER}, {6, 6, 1, WAY_GATHER},
+        {8, 6, 1, WAY_GATHER}, {8, 4, 1, WAY_GATHER}, {16, 3, 1, WAY_GATHER},
+        {1, 3, 1, WAY_THESIS}, {4, 3, 1, WAY_THESIS}, {16, 3, 1, WAY_THESIS}, {1, 3, 1, WAY_GATHER}, {4, 3, 1, WAY_GATHER},
+        {1, 0, 1, WAY_GATHER}, {8, 0, 1, WAY_GATHER}, {4, 3, 8, WAY_GATHER}, {16, 3, 8, WAY_GATHER}, {64, 3, 8, WAY_GATHER},
+        {4, 3, 1, WAY_THESIS_LIGHTS}, {24, 3, 1, WAY_THESIS_LIGHTS}, {4, 3, 1, WAY_LIGHTS}, {24, 3, 1, WAY_LIGHTS},
+        {1, 6, 1, WAY_PATHS}, {4, 6, 1, WAY_PATHS}, {16, 6, 1, WAY_PATHS},
+        {1, 3, 1, WAY_FRAMES}, {4, 3, 1, WAY_FRAMES}, {16, 3, 1, WAY_FRAMES},
+        {200, 3, 1, WAY_NOISE}, {100, 3, 1, WAY_NOISE}, {50, 3, 1, WAY_NOISE}
     };
     enum { COUNT = sizeof settings / sizeof settings[0], GATE = 8 }; /* the first ones count for the table */
     world w;
@@ -1282,16 +1332,8 @@ static void error_scene(const char *name, double *share) {
     own = sparse_error(&w, other, want) / sqrt(2.0);
     memset(b, 0, sizeof b);
     for (i = 0; i < COUNT; i++) {
-        const setting *s = &settings[i];
-        t[i] = s->thesis == 1 ? thesis_of(&w, s->rays, 1, 0.0f) : light_of(&w, s->rays);
-        if (s->thesis == 1) t[i].base_filter = s->filter;
-        else t[i].d.filter = s->filter;
-        t[i].d.coarse = s->coarse;
-        if (s->thesis > 1) t[i].d.method = VOXRT_GI_VPL;
-        if (s->thesis == 2) t[i].d.d_min = (float)(16.0 * w.gi->columns->diagonal * w.gi->columns->diagonal);
-        b[i].name = s->thesis == 3 ? "virtual lights, filter" : s->thesis == 2 ? "virtual lights as in the thesis, filter" :
-            s->thesis ? "thesis, filter" : s->coarse > 1 ? "coarse mesh and filter" :
-            s->filter == 0 ? "gathering" : s->filter < 6 ? "gathering, filter 3 or 4" : "gathering, filter 6";
+        t[i] = setting_job(&w, &settings[i]);
+        b[i].name = setting_name(&settings[i]);
         b[i].run = run_light;
         b[i].ctx = &t[i];
     }
@@ -1306,7 +1348,9 @@ static void error_scene(const char *name, double *share) {
         bench_num("error", error[i]);
         bench_text("error_unit", "RMS / mean");
         one_thread(&b[i]);
-        bench_num("rays", s->rays);
+        bench_num("rays", s->way == WAY_FRAMES || s->way == WAY_NOISE ? t[i].d.rays : s->rays);
+        bench_num("frames", t[i].frames);
+        bench_num("tolerance", (double)t[i].d.tolerance);
         bench_num("filter", s->filter);
         bench_num("coarse", s->coarse);
         bench_num("pixels", pixels_of(&w));

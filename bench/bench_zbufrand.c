@@ -16,6 +16,7 @@
 #include "../examples/support/scenes.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "../zbufrand.h"
+#include "baseline/zbuffer.h"
 #include "../examples/support/worlds.h"
 #include "bench_worlds.h"
 
@@ -624,6 +625,32 @@ static void way_samples(const char *kase, const world *w, const truth *t, int al
     picture_free(&p);
 }
 
+/* Squares of samples with what may be between them: blocks of d x d pixels, each larger than the one before. */
+static void way_fills(const char *kase, const world *w, const truth *t) {
+    static const struct { const char *name; zbufrand_fill fill; } fills[5] = {
+        {"filled by a Gaussian", ZBUFRAND_FILL_GAUSS}, {"filled by Voronoi cells", ZBUFRAND_FILL_VORONOI},
+        {"filled by Voronoi cells, L1", ZBUFRAND_FILL_VORONOI_L1}, {"filled by regions", ZBUFRAND_FILL_REGIONS},
+        {"filled by pull-push", ZBUFRAND_FILL_PULL_PUSH}
+    };
+    static const uint32_t blocks[4] = {1, 2, 3, 5};
+    picture_job p = way_open(w, t->width, t->height);
+    wrong out;
+    char name[32];
+    int i, k;
+    p.desc.hybrid = ZBUFRAND_HYBRID_OFF;
+    p.desc.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+    for (k = 0; k < 5; k++) {
+        p.desc.reconstruct.fill = fills[k].fill;
+        for (i = 0; i < 4; i++) {
+            if (!g_opt.full && i == 2) continue;
+            p.desc.reconstruct.block = blocks[i];
+            snprintf(name, sizeof name, "d=%u", blocks[i]);
+            (void)way_line(kase, fills[k].name, name, &p, t, g_opt.full ? 3 : 1, &out);
+        }
+    }
+    picture_free(&p);
+}
+
 /* What is asked for, and nothing else: how probable an incomplete picture may be, how much noise there may be. */
 static void way_promises(const char *kase, const world *w, const truth *t) {
     static const double tolerance[4] = {0.5, 0.05, 1e-3, 1e-6}, noise[3] = {0.08, 0.04, 0.02};
@@ -711,7 +738,10 @@ static void error_scene(world *w, const truth *t, const char *kase, int ways, ch
     memset(&rays, 0, sizeof rays);
     way_rays(kase, w, t, &rays);
     way_samples(kase, w, t, ways & WAY_ALL, rays.error[g_opt.full ? 3 : 2], &ours);
-    if (ways & WAY_ALL) way_promises(kase, w, t);
+    if (ways & WAY_ALL) {
+        way_fills(kase, w, t);
+        way_promises(kase, w, t);
+    }
     if (ways & WAY_RASTER) way_raster(kase, w, t, ways & WAY_RASTER_ALL);
     if (ways & WAY_INDEPENDENT) way_independent(kase, w, t);
     if (ways & WAY_THESIS) way_thesis(kase, w, t);
@@ -1105,7 +1135,7 @@ static void zbuffer_run(void *ctx) {
     env.thread_count = 1;
     must(zbufrandi_env_open(&env, &mem), "memory");
     memset(j->keys.key, 0xff, (size_t)j->keys.width * j->keys.height * 8);
-    must(zbufrandi_zbuffer_draw(j->scene, &j->camera, &j->keys, &env, &mem, zbufrandi_cpu_level(), &j->triangles, &j->covered),
+    must(baseline_zbuffer_draw(j->scene, &j->camera, &j->keys, &env, &mem, zbufrandi_cpu_level(), &j->triangles, &j->covered),
          "z-buffer");
 }
 

@@ -355,10 +355,11 @@ static int by_x(const void *a, const void *b) {
     return p->y < q->y ? 1 : p->y > q->y ? -1 : 0;
 }
 
-/* Eight colours; the eight series after that have squares and dashed lines. */
+/* Eight colours; the eight series after that have squares and dashed lines, the next ones diamonds and dots. */
 static void draw_mark(FILE *f, double x, double y, int series, int hollow) {
     const char *color = g_colors[series % 8];
     if (series < 8) fprintf(f, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\"", x, y);
+    else if (series >= 16) fprintf(f, "<path d=\"M%.1f %.1fl5 5l-5 5l-5 -5z\"", x, y - 5);
     else fprintf(f, "<rect x=\"%.1f\" y=\"%.1f\" width=\"8\" height=\"8\"", x - 4, y - 4);
     if (hollow) fprintf(f, " class=\"hole\" stroke=\"%s\"/>\n", color);
     else fprintf(f, " fill=\"%s\" class=\"ring\"/>\n", color);
@@ -368,7 +369,7 @@ static void draw_curve(FILE *f, const axis *x, const axis *y, point *points, siz
     size_t i;
     qsort(points, count, sizeof points[0], by_x);
     fprintf(f, "<polyline fill=\"none\" stroke=\"%s\" stroke-width=\"1.5\"%s points=\"", g_colors[series % 8],
-            series < 8 ? "" : " stroke-dasharray=\"4 3\"");
+            series < 8 ? "" : series < 16 ? " stroke-dasharray=\"4 3\"" : " stroke-dasharray=\"1 3\"");
     for (i = 0; i < count; i++) {
         fprintf(f, "%.1f,%.1f ", place(x, points[i].x), points[i].y > 0 ? place(y, points[i].y) : y->from);
     }

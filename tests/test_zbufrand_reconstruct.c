@@ -303,10 +303,12 @@ TEST(pixel_borders) { /* half-open pixels, guard band, bad samples */
     add(&l, 1.0, 1.0, (double)NAN);
     add(&l, 1.0, 1.0, (double)INFINITY);
     add(&l, 1.0, 1.0, 1e-45);
+    add(&l, 1.0, 1.0, 0.9e-30);
+    add(&l, 1.0, 1.0, 1.1e30);
     v = render(&d, &l);
     CHECK_EQ_U64(v.submitted.accepted, 6);
     CHECK_EQ_U64(v.submitted.outside, 3);
-    CHECK_EQ_U64(v.submitted.bad, 7);
+    CHECK_EQ_U64(v.submitted.bad, 9);
     CHECK_EQ_U64(v.p.number[0 * 4 + 0], 4); /* nearest of those whose blocks reach column 0 */
     CHECK_EQ_U64(v.p.number[2 * 4 + 0], 4);
     CHECK_EQ_U64(v.p.number[2 * 4 + 1], 1);
@@ -982,6 +984,56 @@ TEST(wrong_pixels_of_the_practical_rule) { /* "cells as large as blocks" leaves 
 }
 
 /* ---- silhouettes ------------------------------------------------------------------------------------------------- */
+
+/* Depths at both ends of what samples may have, steep slopes, all fills: what is shown has a depth, and it is above 0. */
+TEST(depths_at_the_ends) {
+    static const float ends[4] = {1e-30f, 1.5e-30f, 0.9e30f, 1e30f};
+    enum { W = 24, H = 20 };
+    test_rng r = test_rng_make(61);
+    static float rgba[4 * W * H], depth[W * H];
+    uint32_t k, i, n;
+    for (k = 0; k < 600; k++) {
+        zbufrand_canvas_desc d = defaults(W, H, 1 + k % 5);
+        zbufrand_sample s[150];
+        zbufrand_canvas *c = NULL;
+        zbufrand_source source;
+        zbufrand_picture p;
+        uint32_t bad = 0, shown = 0;
+        d.isa = k % 2 ? ZBUFRAND_ISA_AUTO : ZBUFRAND_ISA_SCALAR;
+        d.bucket_bits = k % 3 ? 0 : 1 + k % 22;
+        d.reconstruct.fill = (zbufrand_fill)(k / 5 % 6);
+        d.reconstruct.occlusion = (zbufrand_occlusion)(k / 30 % 4);
+        d.reconstruct.plane_depth = k / 7 % 2;
+        d.reconstruct.repair = k / 11 % 2;
+        if (zbufrand_canvas_create(&d, &c) != ZBUFRAND_OK) continue;
+        memset(s, 0, sizeof s);
+        n = 150;
+        for (i = 0; i < n; i++) {
+            s[i].x = (float)test_rng_range(&r, 0, W);
+            s[i].y = (float)test_rng_range(&r, 0, H);
+            s[i].z = test_rng_below(&r, 4) ? ends[k / 120 == 4 ? test_rng_below(&r, 4) : k / 120] : 1;
+            if (i % 3) s[i].slope_x = test_rng_below(&r, 2) ? 3e38f : -3e38f;
+            if (i % 5) s[i].slope_y = test_rng_below(&r, 2) ? 3e38f : -3e38f;
+            s[i].rgb[0] = 0.5f;
+        }
+        CHECK_EQ_U64(zbufrand_canvas_submit(c, s, n, 0, NULL), ZBUFRAND_OK);
+        memset(&source, 0, sizeof source);
+        memset(&p, 0, sizeof p);
+        source.shade_fn = zbufrand_samples_shade;
+        source.surface_fn = zbufrand_samples_surface;
+        source.user = s;
+        p.rgba = rgba;
+        p.depth = depth;
+        CHECK_EQ_U64(zbufrand_canvas_resolve(c, &source, &p, NULL), ZBUFRAND_OK);
+        for (i = 0; i < W * H; i++) {
+            bad += !(depth[i] > 0.0f) || !isfinite(rgba[4 * i]);
+            shown += depth[i] < INF_F;
+        }
+        CHECK_MSG(bad == 0 && shown > 8, "%u: %u pixels are wrong, %u shown: fill %d, occlusion %d", k, bad, shown, (int)d.reconstruct.fill,
+                  (int)d.reconstruct.occlusion);
+        zbufrand_canvas_destroy(c);
+    }
+}
 
 TEST(silhouettes) { /* a front half plane x < edge before a ground: how far outside is the front shown? */
     test_rng r = test_rng_make(16);
@@ -1743,6 +1795,11 @@ TEST(mending) { /* a wall with holes and see-through pixels gets its own colour 
         if (!(depth[i] < 10.0f)) left++;
         else off += fabsf(depth[i] - want) > 0.012f * want || fabsf(rgba[4 * i] - 0.25f) > 1e-6f || rgba[4 * i + 3] != 1.0f;
     }
+    { /* their number is looked at before what they are */
+        zbufrand_suspect *one = (zbufrand_suspect *)calloc(1, sizeof *one);
+        CHECK(one != NULL && zbufrand_mend(&d, rgba, depth, one, W * H + 1) == ZBUFRAND_ERR_INVALID_ARG);
+        free(one);
+    }
     CHECK_EQ_U64(off, 0);
     CHECK_MSG(left < 40, "%u pixels are left", (unsigned)left); /* at the border of the picture and in clusters */
     free(rgba);
@@ -1924,6 +1981,19 @@ TEST(projection) {
         zbufrand_canvas_destroy(a);
         zbufrand_canvas_destroy(b);
     }
+    for (i = 0; i < 50; i++) { /* so far to the side that floats do not hold it */
+        positions[3 * i + i % 2] = i % 4 < 2 ? 1e20f : -1e20f;
+        positions[3 * i + 2] = i % 3 == 0 ? 2e20f : 5;
+    }
+    for (i = 0; i < 12; i++) v.world_to_camera[i / 4][i % 4] = i % 5 == 0 ? 1 : 0;
+    v.focal = 1e30;
+    v.far_z = 0;
+    CHECK_EQ_U64(zbufrand_project(&v, &p, 0, 50, s), ZBUFRAND_OK);
+    for (i = 0, k = 0; i < 50; i++) {
+        CHECK(isfinite(s[i].x) && isfinite(s[i].y) && (s[i].z > 0 || s[i].z == 0.0f));
+        k += s[i].z > 0;
+    }
+    CHECK_EQ_U64(k, 17); /* those of every third depth */
     CHECK_EQ_U64(zbufrand_project(&v, &p, 40, 11, s), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_project(NULL, &p, 0, 1, s), ZBUFRAND_ERR_INVALID_ARG);
     v.focal = 0.0;
@@ -2357,6 +2427,7 @@ int main(int argc, char **argv) {
     RUN(case_of_a_partial_front);
     RUN(share_of_wrong_pixels);
     RUN(wrong_pixels_of_the_practical_rule);
+    RUN(depths_at_the_ends);
     RUN(silhouettes);
     RUN(gauss_against_the_sum);
     RUN(regions_against_the_sum);

@@ -517,11 +517,12 @@ TEST(views_are_limited) { /* what things have for being drawn many times is boun
     shape torus;
     zbufrand_mesh m;
     zbufrand_scene_info info;
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s;
     zbufrand_transform place[TIMES];
     double plain = 0;
     uint32_t n, i, with = 0;
     if (test_quick()) SKIP("long");
+    s = open_scene();
     memset(&torus, 0, sizeof torus);
     shape_torus(&torus, 0, 0, 0, 1, 0.4, 30, 20);
     m = mesh_of(&torus);

@@ -518,6 +518,30 @@ static void projection_paint_pt(tetcasti_painter *p, uint32_t cell) {
         projection_paint_triangle(p, cell, c.rect, &outline[i], &outline[(i + 1) % count], &thick);
 }
 
+/* ---- fragments into sums in the order of the cells ---- */
+
+/* The nearest of `keep` goes into the sum. */
+static void projection_keep(tetcasti_painter *p, uint32_t i, const tetcasti_fragment *f) {
+    tetcasti_fragment first;
+    tetcasti_list_put(p, i, f);
+    if (p->count[i] < projection_of(p)->keep) return;
+    first = tetcasti_list_get(p, i);
+    tetcasti_fragment_add(p, i, &first);
+    tetcasti_list_drop(p, i, 1, p->count[i] - 1u);
+}
+
+/* What does without lists, or with short ones: one fragment after the other. 0: no memory. */
+static int projection_in_order(tetcasti_painter *p) {
+    const uint32_t keep = projection_of(p)->keep;
+    p->put = keep > 1 ? projection_keep : tetcasti_fragment_add;
+    p->run = tetcasti_lists_run;
+    p->open_cells = NULL;
+    p->paint = p->scene->fma ? tetcasti_paint_fma : tetcasti_paint_plain;
+    while (p->room <= keep)
+        if (!tetcasti_lists_grow(p)) return 0;
+    return 1;
+}
+
 /* ---- pictures ---- */
 
 /* As tetcast_render, with one thread. Errors: INVALID_ARG as well for PROJECTION_VERTEX with a perspective camera, for
@@ -533,7 +557,7 @@ static tetcast_result projection_project(const projection_way *how, const tetcas
     tetcasti_batch *b = NULL;
     tetcasti_painter *p = NULL;
     tetcast_result r;
-    uint32_t *rank = NULL, a, i, mode = TETCASTI_KEEP_ALL;
+    uint32_t *rank = NULL, a, i;
     double ends[2];
     *report = none;
     memset(&c, 0, sizeof c);
@@ -561,14 +585,13 @@ static tetcast_result projection_project(const projection_way *how, const tetcas
         r = rank != NULL ? projection_rank(&c.mem, mesh, &c.view.pixels, how->order, rank, &report->cycles)
                          : TETCAST_ERR_NO_MEMORY;
         c.view.rank = rank;
-        mode = how->keep > 1 ? TETCASTI_KEEP_SOME : TETCASTI_KEEP_NONE;
     }
     bp.view = c.view;
     bp.how = how;
     if (r == TETCAST_OK) {
         b = tetcasti_batch_open(&c.mem);
-        p = b != NULL ? tetcasti_painter_open(&c.mem, &bp.view, b, mode, how->keep) : NULL;
-        if (p == NULL) r = TETCAST_ERR_NO_MEMORY;
+        p = b != NULL ? tetcasti_painter_open(&c.mem, &bp.view, b) : NULL;
+        if (p == NULL || (how->order != PROJECTION_LISTS && !projection_in_order(p))) r = TETCAST_ERR_NO_MEMORY;
     }
     if (r == TETCAST_OK) {
         if (how->form != PROJECTION_SIGNS) p->open_cells = NULL; /* nothing for them */

@@ -4,6 +4,26 @@
 #include "../../tetcast.h"
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
+/* Levels of slots are those that are counted; a budget lies between the share of the coarsest level and all. */
+static void count_levels(const tetcast_cut *cut, const tetcast_bricks_info *info) {
+    const uint8_t *level = tetcast_cut_levels(cut);
+    const size_t slots = (size_t)info->slots[0] * info->slots[1] * info->slots[2];
+    uint64_t count[TETCAST_BRICK_LEVELS] = {0};
+    tetcast_cut_info ci;
+    double seconds;
+    size_t i;
+    tetcast_cut_get_info(cut, &ci);
+    for (i = 0; i < slots; i++) {
+        if (level[i] >= info->levels) abort();
+        count[level[i]]++;
+    }
+    if (memcmp(count, ci.level_slots, sizeof count) != 0 || !(ci.samples >= 1.0 / 32.0 && ci.samples <= 1.0)) abort();
+    for (seconds = 0.25; seconds < 8.0; seconds *= 1.25) {
+        const double pace = tetcast_cut_pace(&ci, seconds, 1.0);
+        if (!(pace >= 1.0 / 32.0 && pace <= 1.0)) abort();
+    }
+}
+
 static void draw(const tetcast_bricks *b, uint8_t way) {
     static const tetcast_control_point points[2] = {{0.0f, {1.0f, 0.5f, 0.25f}, 0.5f}, {1.0f, {0.25f, 0.5f, 1.0f}, 4.0f}};
     float rgba[8 * 8 * 4], x[3][9], v[9];
@@ -22,6 +42,7 @@ static void draw(const tetcast_bricks *b, uint8_t way) {
     cd.level = way & 3u;
     cd.max_jump = way >> 2 & 1u;
     if (tetcast_cut_create(&cd, b, &cut) != TETCAST_OK) return;
+    count_levels(cut, &info);
     for (i = 0; i < 27; i++) x[i / 9][i % 9] = (float)(i % 7) * 5.5f - 3.0f;
     tetcast_cut_sample(cut, x[0], x[1], x[2], 9, TETCAST_ISA_AUTO, v);
     for (i = 0; i < 9; i++)

@@ -175,7 +175,7 @@ static void refined(const uint8_t *o, const float *f) {
     tetcast_bricks_desc bd;
     tetcast_amr *a = NULL;
     tetcast_bricks *b = NULL;
-    uint32_t i, k;
+    uint32_t i, k, fine = 0;
     memset(patch, 0, sizeof patch); memset(&d, 0, sizeof d);
     d.env = env_of(1 + (o[8] & 1));
     for (k = 0; k < 3; k++) {
@@ -202,6 +202,12 @@ static void refined(const uint8_t *o, const float *f) {
         for (k = 0; k < 3 * POINTS; k++) at[k / 3][k % 3] = (double)f[(150 + k + i) % NUMBERS];
         if (tetcast_amr_sample(a, (tetcast_amr_method)i, (const double (*)[3])at, POINTS, v) == TETCAST_OK)
             for (k = 0; k < POINTS; k++) must(tetcast_amr_level(a, at[k]) < TETCAST_AMR_LEVELS);
+    }
+    for (i = 1; i < d.patch_count; i++) fine = patch[i].level > fine ? patch[i].level : fine;
+    fine *= d.ratio_log != 0 ? d.ratio_log : 1;
+    if ((d.cells[0] * d.cells[1] * d.cells[2]) << (3 * (fine < 6 ? fine : 6)) > 100000) { /* seconds for each input, with sanitizers */
+        tetcast_amr_destroy(a);
+        return;
     }
     bricks_desc(o, f, &bd);
     if (tetcast_bricks_create_amr(&bd, a, (tetcast_amr_method)(o[13] >> 4 & 7), NULL, &b) == TETCAST_OK) look_at_bricks(b, o, f);

@@ -6,6 +6,24 @@
 #include <unistd.h>
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
+/* Each function is one that could be given, and there are no more than are said. */
+static void functions(const tetcast_rbf *m, const tetcast_rbf_info *info) {
+    tetcast_rbf_function f;
+    uint32_t i, a, shaped = 0;
+    double all = 0;
+    for (i = 0; i < info->function_count; i++) {
+        if (!tetcast_rbf_get_function(m, i, &f) || !(f.width > 0.0) || !(f.stretch >= 1.0 / 64.0 && f.stretch <= 64.0)) abort();
+        for (a = 0; a < 3; a++) all += (f.centre[a] - f.centre[a]) + (f.axis[a] - f.axis[a]);
+        for (a = 0; a < 4; a++) {
+            all += (double)(f.weight[a] - f.weight[a]);
+            if (a >= info->components && f.weight[a] != 0.0f) abort();
+        }
+        shaped += f.stretch != 1.0;
+    }
+    if (all + (f.width - f.width) != 0.0 || shaped > info->ellipsoids) abort();
+    if (tetcast_rbf_get_function(m, info->function_count, &f)) abort();
+}
+
 /* Bounds hold for values on a grid; what is seen in a flow there, and a picture, is of finite numbers. */
 static void look(const tetcast_rbf *m, const tetcast_rbf_info *info, uint8_t how) {
     static const tetcast_control_point points[2] = {{0.0f, {1.0f, 0.5f, 0.25f}, 0.5f}, {1.0f, {0.25f, 0.5f, 1.0f}, 4.0f}};
@@ -97,6 +115,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         tetcast_rbf_get_info(m, &info);
         for (i = 0; i < 27; i++) p[i] = info.box_min[i % 3] + (info.box_max[i % 3] - info.box_min[i % 3]) * (double)(i % 7) / 5.0;
         if (tetcast_rbf_eval(NULL, m, p, 9, v, j) != TETCAST_OK) abort();
+        functions(m, &info);
         look(m, &info, copy[size - 1]);
         if (tetcast_rbf_save_memory(m, NULL, 0, &bytes) != TETCAST_OK || bytes != size) abort();
         again = (uint8_t *)malloc(bytes);
