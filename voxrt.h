@@ -359,7 +359,8 @@ typedef struct voxrt_sample {
     float normal[3];  /* unit length, or 0 without normals. Out: any length */
 } voxrt_sample;
 
-/* Triangles to voxelise. Borrowed for the call. */
+/* Triangles to voxelise. Borrowed for the call. A stride that is not 0 is at least what an element has: 12 bytes, or 3
+   of a colour; else INVALID_ARG, also where the array is NULL. */
 typedef struct voxrt_mesh {
     const float *positions;        /* xyz per vertex, any unit */
     size_t vertex_count;
@@ -1025,7 +1026,7 @@ typedef struct voxrt_render_stats { /* added to */
 /* The ray through point (x, y) of the picture plane, in pixels from its upper left corner: (i+0.5, j+0.5) is the
    centre of pixel (i, j). dir has length 1 along the viewing axis, so that t is the depth. t_min 0, t_max INFINITY.
    width sets the centre only. O(1). INVALID_ARG: eye equals at, a number is not finite, the angle is not in (0, 180),
-   or height is 0. Any thread. */
+   height is 0, or (x, y) is so far out that floats cannot hold dir. Any thread. */
 VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t width, uint32_t height, double x, double y,
                                         voxrt_ray *out_ray);
 
@@ -1173,8 +1174,8 @@ typedef struct voxrt_edit_stats { /* out */
    0 have nothing in them: that is no error. O(voxels of the touched blocks + blocks); threads share the blocks. The
    result does not depend on them.
    Errors: INVALID_ARG (also numbers that are not finite), UNINIT_DESC, RANGE (2^24 blocks for a box or sphere to fill,
-   triangles and a depth over 16, more than 255 finishes), NO_MEMORY, CANCELLED. Thread safety: nobody else
-   may use the model meanwhile; its copies are models of their own. */
+   2^32 - 1 triangles, triangles and a depth over 16, more than 255 finishes), NO_MEMORY, CANCELLED. Thread safety:
+   nobody else may use the model meanwhile; its copies are models of their own. */
 VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc *desc, const double box_min[3],
                                        const double box_max[3], voxrt_edit_stats *stats);
 VOXRT_DEF voxrt_result voxrt_model_sphere(voxrt_model *model, const voxrt_edit_desc *desc, const double centre[3],
@@ -1440,8 +1441,8 @@ VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_column
    a point stands for have one now and then, so that they cost by area; those with 16383 in a row are THIN.
    O(triangles + cells), SAMPLES O(triangles + points). What is still for the first time, SOLID and BODY take memory
    from the allocator of the volume.
-   Errors: INVALID_ARG, UNINIT_DESC, NO_MEMORY (nothing is set then), CANCELLED (some cells are set).
-   Thread safety: one call on a volume at a time.
+   Errors: INVALID_ARG, UNINIT_DESC, RANGE (2^41 triangles), NO_MEMORY (nothing is set then), CANCELLED (some cells are
+   set). Thread safety: one call on a volume at a time.
    Source: Laine 2013 (thin), Eisemann & Decoret 2006 (raster) and 2008 (solid), Zhang et al. 2007 (fat). */
 VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                             const voxrt_mesh *mesh, voxrt_columns_insert_stats *stats);
@@ -1449,7 +1450,7 @@ VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_
 /* Set the cells of points: samples of surfaces that move. xyz in, [count], stride in bytes (0: 12; not below 12). mode
    is ignored, but has to be one.
    Surfaces have no holes if the samples lie close enough, which is up to the caller. Otherwise as
-   voxrt_columns_insert. */
+   voxrt_columns_insert; RANGE: 2^45 points. */
 VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const voxrt_columns_insert_desc *desc,
                                                    const float *xyz, size_t stride, size_t count,
                                                    voxrt_columns_insert_stats *stats);
@@ -1590,10 +1591,11 @@ VOXRT_DEF voxrt_result voxrt_gi_create(const voxrt_gi_desc *desc, voxrt_gi **out
 VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi); /* NULL is allowed */
 
 /* Put an object in; at most 65535. out_id, not NULL: its number, from 0 on (0 also on failure). The struct is copied.
-   O(objects). Errors: INVALID_ARG, RANGE, NO_MEMORY. This and all else that changes the scene: alone with it. */
+   O(objects). Errors: INVALID_ARG, RANGE (also 2^41 triangles), NO_MEMORY. This and all else that changes the scene:
+   alone with it. */
 VOXRT_DEF voxrt_result voxrt_gi_add(voxrt_gi *gi, const voxrt_gi_object *object, uint32_t *out_id);
 /* Change an object: another place, other positions in its mesh, another material. An object that was still and stays so
-   has all still ones voxelised again. O(1). Errors: INVALID_ARG (also: no such object). */
+   has all still ones voxelised again. O(1). Errors: INVALID_ARG (also: no such object), RANGE (2^41 triangles). */
 VOXRT_DEF voxrt_result voxrt_gi_set(voxrt_gi *gi, uint32_t id, const voxrt_gi_object *object);
 /* Take an object out; its number may be given out again. Costs what voxrt_gi_set does. Errors: INVALID_ARG (no such
    object). */
@@ -3307,9 +3309,6 @@ static void voxrti_cset_rank(voxrti_cset *s) {
     for (w = 0; w < n; w++) s->slot[2 * voxrti_cset_slot(s, s->list[w]) + 1] = w;
 }
 
-VOXRTI_INLINE int voxrti_cset_has(const voxrti_cset *s, uint32_t c) {
-    return s->bits != NULL ? (int)(s->bits[c >> 5 << 1] >> (c & 31u) & 1u) : s->slot[2 * voxrti_cset_slot(s, c)] != 0;
-}
 VOXRTI_INLINE uint32_t voxrti_cset_index(const voxrti_cset *s, uint32_t c) { /* of a member */
     const uint32_t *pair = s->bits != NULL ? s->bits + 2 * (size_t)(c >> 5) : s->slot + 2 * voxrti_cset_slot(s, c);
     return s->bits != NULL ? pair[1] + voxrti_popcount64(pair[0] & ((1u << (c & 31u)) - 1u)) : pair[1];
@@ -4721,6 +4720,21 @@ VOXRTI_INLINE uint32_t voxrti_weight(double area) { return (uint32_t)voxrti_min(
 
 /* ---- input ---- */
 
+#define VOXRTI_TRIANGLES 0xfffffffeu /* the most of a tree or an edit */
+
+/* Before anything of a mesh is read. most: triangles. */
+static VOXRTI_UNUSED voxrt_result voxrti_mesh_check(const voxrt_mesh *mesh, uint64_t most, voxrt_error *error) {
+    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
+        return voxrti_fail(error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
+    if ((mesh->position_stride != 0 && mesh->position_stride < 12) ||
+        (mesh->normal_stride != 0 && mesh->normal_stride < 12) ||
+        (mesh->vertex_rgb_stride != 0 && mesh->vertex_rgb_stride < 3))
+        return voxrti_fail(error, VOXRT_ERR_INVALID_ARG, 0, "mesh: a stride is less than what an element has");
+    if (mesh->triangle_count > most || mesh->triangle_count > ~(size_t)0 / 3) /* corners have numbers */
+        return voxrti_fail(error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
+    return VOXRT_OK;
+}
+
 static int voxrti_mesh_vertex(const voxrt_mesh *m, size_t triangle, uint32_t corner, size_t *vertex, float p[3]) {
     size_t i = triangle * 3 + corner, stride = m->position_stride != 0 ? m->position_stride : 12;
     if (m->indices != NULL) i = m->indices[i];
@@ -6104,7 +6118,6 @@ static VOXRTI_UNUSED voxrt_result voxrti_voxelize(voxrti_mem *mem, const voxrt_b
     memset(&v, 0, sizeof v);
     memset(out, 0, sizeof *out);
     stats->triangles = mesh->triangle_count;
-    if (mesh->triangle_count >= 0xffffffffu) return VOXRT_ERR_RANGE;
     v.mem = mem;
     v.d = d;
     v.mesh = mesh;
@@ -6564,6 +6577,14 @@ static voxrt_result voxrti_fill_emit(voxrti_mem *mem, voxrti_flood *f, size_t wo
     return r;
 }
 
+#define VOXRTI_FILL_DEPTH 14u
+
+/* Before anything is voxelised. */
+static VOXRTI_UNUSED voxrt_result voxrti_fill_check(const voxrt_build_desc *d, uint32_t depth) {
+    if (!d->fill || depth <= VOXRTI_FILL_DEPTH) return VOXRT_OK;
+    return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, depth, "fill supports a depth of 14, not %");
+}
+
 /* Fill closed hulls; new voxels take the attributes of the nearest surface voxel (in steps through faces), at most
    d->fill_depth layers deep. On failure the set is unchanged. O(voxels + (2^depth/16)^3). */
 static VOXRTI_UNUSED voxrt_result voxrti_leafset_fill(voxrti_mem *mem, const voxrt_build_desc *d, uint32_t depth,
@@ -6573,7 +6594,7 @@ static VOXRTI_UNUSED voxrt_result voxrti_leafset_fill(voxrti_mem *mem, const vox
     size_t words, i;
     voxrt_result r = VOXRT_OK;
     if (set->block_count == 0) return VOXRT_OK;
-    if (depth > 14) return voxrti_fail(d->env.error, VOXRT_ERR_RANGE, depth, "fill supports a depth of 14, not %");
+    VOXRT_ASSERT(depth <= VOXRTI_FILL_DEPTH);
     words = (size_t)1 << word_bits;
     memset(&f, 0, sizeof f);
     f.mem = mem;
@@ -7313,9 +7334,8 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
     *out_tree = NULL;
     r = voxrti_build_open(desc, &d, &mem);
     if (r != VOXRT_OK) return r;
-    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
-        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
-    r = voxrti_finish_check(&d, mesh->triangle_finish, mesh->triangle_count);
+    r = voxrti_mesh_check(mesh, VOXRTI_TRIANGLES, d.env.error);
+    if (r == VOXRT_OK) r = voxrti_finish_check(&d, mesh->triangle_finish, mesh->triangle_count);
     if (r != VOXRT_OK) return r;
     memset(&set, 0, sizeof set);
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
@@ -7323,6 +7343,8 @@ VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxr
         stats->triangles = stats->rejected = mesh->triangle_count;
         return r;
     }
+    r = voxrti_fill_check(&d, grid.depth);
+    if (r != VOXRT_OK) return r;
     env = d.env;
     voxrti_stage_open(&stage, &env, 0, 4, 8, &d.env);
     r = voxrti_voxelize(&mem, &d, mesh, &grid, NULL, stats, &set);
@@ -7352,7 +7374,8 @@ VOXRT_DEF voxrt_result voxrt_tree_from_voxels(const voxrt_build_desc *desc, cons
     if (voxels == NULL && count != 0) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no voxels");
     if (depth < 1 || depth > VOXRT_MAX_DEPTH)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, depth, "depth % is out of range");
-    r = voxrti_finish_check(&d, d.voxel_finish, count);
+    r = voxrti_fill_check(&d, depth);
+    if (r == VOXRT_OK) r = voxrti_finish_check(&d, d.voxel_finish, count);
     if (r != VOXRT_OK) return r;
     memset(&set, 0, sizeof set);
     memset(&grid, 0, sizeof grid);
@@ -15879,6 +15902,10 @@ static double voxrti_camera_tangent(const voxrt_camera *camera) {
     return s / c;
 }
 
+static int voxrti_finite3(const float *v) {
+    return voxrti_finite_f(v[0]) && voxrti_finite_f(v[1]) && voxrti_finite_f(v[2]);
+}
+
 static voxrt_result voxrti_frame_open(const voxrt_camera *camera, uint32_t height, voxrti_frame *f) {
     double tangent = voxrti_camera_tangent(camera);
     uint32_t a;
@@ -15901,12 +15928,16 @@ static voxrt_result voxrti_frame_open(const voxrt_camera *camera, uint32_t heigh
 VOXRT_DEF voxrt_result voxrt_camera_ray(const voxrt_camera *camera, uint32_t width, uint32_t height, double x, double y,
                                         voxrt_ray *out_ray) {
     voxrti_frame f;
+    voxrt_ray ray;
     voxrt_result r;
     if (camera == NULL || out_ray == NULL || height == 0) return VOXRT_ERR_INVALID_ARG;
     if (!voxrti_finite(x) || !voxrti_finite(y)) return VOXRT_ERR_INVALID_ARG;
     r = voxrti_frame_open(camera, height, &f);
-    if (r == VOXRT_OK) voxrti_frame_ray(&f, x - 0.5 * (double)width, 0.5 * (double)height - y, out_ray);
-    return r;
+    if (r != VOXRT_OK) return r;
+    voxrti_frame_ray(&f, x - 0.5 * (double)width, 0.5 * (double)height - y, &ray);
+    if (!voxrti_finite3(ray.dir)) return VOXRT_ERR_INVALID_ARG;
+    *out_ray = ray;
+    return VOXRT_OK;
 }
 
 /* Fitting a camera of given direction: a point at (x, y, z) (right, above, towards the eye) is in the picture when
@@ -16143,10 +16174,6 @@ VOXRT_DEF void voxrt_octree_geometry(const voxrt_octree *octree, voxrt_geometry 
 }
 
 /* ---- the picture ---- */
-
-static int voxrti_finite3(const float *v) {
-    return voxrti_finite_f(v[0]) && voxrti_finite_f(v[1]) && voxrti_finite_f(v[2]);
-}
 
 /* Box of all that is to be seen; 0: nothing, or not finite. */
 static int voxrti_render_box(const voxrti_render *c, double lo[3], double hi[3]) {
@@ -18234,8 +18261,8 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     voxrt_env env;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
     if (r != VOXRT_OK || e.m == NULL) return r;
-    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL))
-        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh");
+    r = voxrti_mesh_check(mesh, VOXRTI_TRIANGLES, d.env.error);
+    if (r != VOXRT_OK) return r;
     if (model->grid.depth > VOXRT_MAX_VOXELIZE_DEPTH)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, model->grid.depth, "depth % is too large for triangles");
     memset(&built, 0, sizeof built);
@@ -19185,16 +19212,15 @@ VOXRT_DEF voxrt_result voxrt_paged_build(const voxrt_build_desc *desc, const vox
     memset(stats, 0, sizeof *stats);
     r = voxrti_build_open(desc, &d, &mem);
     if (r != VOXRT_OK) return r;
-    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL) || sink == NULL ||
-        sink->write_fn == NULL)
+    if (mesh == NULL || sink == NULL || sink->write_fn == NULL)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no mesh, or nowhere to write to");
+    r = voxrti_mesh_check(mesh, mesh->indices == NULL ? 0x55555554u : VOXRTI_TRIANGLES, d.env.error);
+    if (r != VOXRT_OK) return r;
     if (d.fill || d.lod_method != VOXRT_LOD_MEAN)
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "pieces are not filled and take no votes");
     r = voxrti_finish_check(&d, mesh->triangle_finish, mesh->triangle_count);
     if (r != VOXRT_OK) return r;
     if (mesh->triangle_finish == NULL) d.finish_count = 0;
-    if (mesh->triangle_count >= 0xffffffffu || (mesh->indices == NULL && mesh->triangle_count >= 0x55555555u))
-        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, mesh->triangle_count, "% triangles are too many");
     r = voxrti_grid_from_mesh(&d, mesh, &grid);
     stats->triangles = mesh->triangle_count;
     if (r != VOXRT_OK) { /* none is usable */
@@ -20624,6 +20650,7 @@ typedef struct voxrti_insert {
 } voxrti_insert;
 
 #define VOXRTI_INSERT_TASK 1024 /* items */
+#define VOXRTI_INSERT_MOST (((uint64_t)1 << 41) - VOXRTI_INSERT_TASK) /* triangles; the tasks have numbers of 32 bits */
 
 #if defined(__GNUC__) || defined(__clang__)
 #  define voxrti_add_shared(p, v) ((void)__atomic_fetch_add(p, v, __ATOMIC_RELAXED))
@@ -21676,11 +21703,9 @@ VOXRT_DEF voxrt_result voxrt_columns_insert(voxrt_columns *columns, const voxrt_
     voxrti_ask ask;
     uint64_t open = 0;
     voxrt_result r;
-    if (mesh == NULL || (mesh->triangle_count != 0 && mesh->positions == NULL)) return VOXRT_ERR_INVALID_ARG;
     r = voxrti_insert_open(&in, columns, desc, &d);
+    if (r == VOXRT_OK) r = voxrti_mesh_check(mesh, VOXRTI_INSERT_MOST, d.env.error);
     if (r != VOXRT_OK) return r;
-    if (mesh->triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff)
-        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, mesh->triangle_count, "% triangles are too many");
     in.mesh = mesh;
     in.ask = &ask;
     voxrti_ask_open(&ask, &d.env, 1);
@@ -21705,7 +21730,7 @@ VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const
     r = voxrti_insert_open(&in, columns, desc, &d);
     if (r != VOXRT_OK) return r;
     if (count / (VOXRTI_INSERT_TASK * 16) >= 0x7fffffff)
-        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, count, "% points are too many");
+        return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, count, "% points are too many");
     in.points = (const uint8_t *)xyz;
     in.point_stride = stride != 0 ? stride : 12;
     in.count = count;
@@ -24142,9 +24167,10 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
 static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_object *o) {
     uint32_t a;
     int ok = 1;
-    if (gi == NULL || o == NULL || (o->mesh.triangle_count != 0 && o->mesh.positions == NULL))
-        return VOXRT_ERR_INVALID_ARG;
-    if (o->mesh.triangle_count / VOXRTI_INSERT_TASK >= 0x7fffffff) return VOXRT_ERR_INVALID_ARG;
+    voxrt_result r;
+    if (gi == NULL || o == NULL) return VOXRT_ERR_INVALID_ARG;
+    r = voxrti_mesh_check(&o->mesh, VOXRTI_INSERT_MOST, gi->env.error);
+    if (r != VOXRT_OK) return r;
     for (a = 0; a < 12; a++) ok &= voxrti_finite(o->to_world[a]);
     for (a = 0; a < 3; a++) {
         const voxrt_gi_material *m = &o->material;
@@ -26964,11 +26990,12 @@ typedef struct voxrti_fill_work {
     int isa;
 } voxrti_fill_work;
 
-/* Both sides of the cells in a row of columns: direct light. */
-static void voxrti_task_fill(void *ctx, uint32_t y) {
-    const voxrti_fill_work *f = (const voxrti_fill_work *)ctx;
-    const voxrt_columns *c = f->gi->columns;
-    const voxrti_gi_layer *l = &f->gi->layer[f->layer];
+/* The sides with an area of the cells in row y of the columns of a layer, up to VOXRTI_COLUMN_BATCH at a time, without
+   albedo. Until fn returns 0. */
+static void voxrti_gi_row_sides(const voxrt_gi *gi, uint32_t layer, uint32_t y,
+                                int (*fn)(void *work, const voxrti_gi_side *q, uint32_t count), void *work) {
+    const voxrt_columns *c = gi->columns;
+    const voxrti_gi_layer *l = &gi->layer[layer];
     voxrti_gi_side q[VOXRTI_COLUMN_BATCH];
     size_t rec = l->base[(size_t)y << c->row_log[0]];
     uint32_t x, w, side, n = 0;
@@ -26979,16 +27006,27 @@ static void voxrti_task_fill(void *ctx, uint32_t y) {
                 for (side = 0; side < 2; side++) {
                     const uint32_t cell[3] = {x, y, 32 * w + voxrti_ctz64(bits)};
                     if (l->record[rec].area[side] == 0) continue;
-                    q[n].gi = f->gi;
+                    q[n].gi = gi;
                     q[n].at = 2 * rec + side;
-                    q[n].layer = f->layer;
-                    voxrti_gi_side_place(f->gi, &l->record[rec], side, cell, q[n].position, q[n].normal);
+                    q[n].layer = layer;
+                    voxrti_gi_side_place(gi, &l->record[rec], side, cell, q[n].position, q[n].normal);
                     if (++n < VOXRTI_COLUMN_BATCH) continue;
-                    if (!voxrti_ask_work(f->ask, voxrti_gi_fill(f->root, f->isa, q, n))) return;
+                    if (!fn(work, q, n)) return;
                     n = 0;
                 }
         }
-    if (n != 0) (void)voxrti_ask_work(f->ask, voxrti_gi_fill(f->root, f->isa, q, n));
+    if (n != 0) (void)fn(work, q, n);
+}
+
+/* Direct light. */
+static int voxrti_fill_sides(void *work, const voxrti_gi_side *q, uint32_t count) {
+    const voxrti_fill_work *f = (const voxrti_fill_work *)work;
+    return voxrti_ask_work(f->ask, voxrti_gi_fill(f->root, f->isa, q, count));
+}
+
+static void voxrti_task_fill(void *ctx, uint32_t y) {
+    const voxrti_fill_work *f = (const voxrti_fill_work *)ctx;
+    voxrti_gi_row_sides(f->gi, f->layer, y, voxrti_fill_sides, ctx);
 }
 
 /* What the way of looking up light needs first. */
@@ -27221,55 +27259,41 @@ typedef struct voxrti_bounce {
     float weight;
 } voxrti_bounce;
 
-static void voxrti_bounce_flush(voxrti_bounce *b, voxrti_points *q, const size_t *at) {
+static int voxrti_bounce_sides(void *work, const voxrti_gi_side *s, uint32_t count) {
+    voxrti_bounce *b = (voxrti_bounce *)work;
     const voxrti_gi_layer *l = &b->gi->layer[b->layer];
     const float scale = 3.14159265f / (float)(int32_t)b->gather.rays * b->gi->per_unit;
+    voxrti_points q;
     float rgb[VOXRTI_COLUMN_BATCH][3], old[3];
     uint32_t i, a;
+    if (voxrti_atomic_load(&b->gather.ask->cancelled)) return 0;
     memset(rgb, 0, sizeof rgb);
-    voxrti_gather_run(&b->gather, q, rgb, NULL, NULL);
-    for (i = 0; i < q->count; i++) {
-        const uint32_t known = l->bounce[at[i]];
+    q.count = count;
+    q.share = 32;
+    for (i = 0; i < count; i++) {
+        memcpy(q.p[i], s[i].position, sizeof q.p[i]);
+        memcpy(q.n[i], s[i].normal, sizeof q.n[i]);
+        q.exponent[i] = 0.0f;
+        q.place[i] = 0;
+        q.seed[i] = voxrti_hash32((uint32_t)s[i].at * 2u + b->layer) ^ b->seed;
+    }
+    voxrti_gather_run(&b->gather, &q, rgb, NULL, NULL);
+    for (i = 0; i < count; i++) {
+        const uint32_t known = l->bounce[s[i].at];
         if (known != VOXRTI_GI_UNKNOWN) voxrti_rgb9e5_decode(known, old);
         else voxrti_store_shared(&b->fresh, 1u);
         for (a = 0; a < 3; a++) {
             rgb[i][a] *= scale;
             if (known != VOXRTI_GI_UNKNOWN) rgb[i][a] = old[a] + (rgb[i][a] - old[a]) * b->weight;
         }
-        b->next[at[i]] = voxrti_rgb9e5(rgb[i]);
+        b->next[s[i].at] = voxrti_rgb9e5(rgb[i]);
     }
-    q->count = 0;
+    return 1;
 }
 
-/* Both sides of the cells in a row of columns. */
 static void voxrti_task_bounce(void *ctx, uint32_t y) {
-    voxrti_bounce *b = (voxrti_bounce *)ctx;
-    const voxrt_columns *c = b->gi->columns;
-    const voxrti_gi_layer *l = &b->gi->layer[b->layer];
-    voxrti_points q;
-    size_t at[VOXRTI_COLUMN_BATCH], rec = l->base[(size_t)y << c->row_log[0]];
-    uint32_t x, w, side, i;
-    if (voxrti_atomic_load(&b->gather.ask->cancelled)) return;
-    memset(at, 0, sizeof at);
-    q.count = 0;
-    q.share = 32;
-    for (x = 0; x < c->size[0]; x++)
-        for (w = 0; w < c->words; w++) {
-            uint32_t bits = l->bits[voxrti_column(c, 0, x, y) + w];
-            for (; bits != 0; bits &= bits - 1, rec++)
-                for (side = 0; side < 2; side++) {
-                    const uint32_t cell[3] = {x, y, 32 * w + voxrti_ctz64(bits)};
-                    if (l->record[rec].area[side] == 0) continue;
-                    i = q.count++;
-                    at[i] = 2 * rec + side;
-                    voxrti_gi_side_place(b->gi, &l->record[rec], side, cell, q.p[i], q.n[i]);
-                    q.exponent[i] = 0.0f;
-                    q.place[i] = 0;
-                    q.seed[i] = voxrti_hash32((uint32_t)at[i] * 2u + b->layer) ^ b->seed;
-                    if (q.count == VOXRTI_COLUMN_BATCH) voxrti_bounce_flush(b, &q, at);
-                }
-        }
-    if (q.count != 0) voxrti_bounce_flush(b, &q, at);
+    const voxrti_bounce *b = (const voxrti_bounce *)ctx;
+    voxrti_gi_row_sides(b->gi, b->layer, y, voxrti_bounce_sides, ctx);
 }
 
 VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint32_t rays, float weight, uint32_t seed) {

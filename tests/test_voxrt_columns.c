@@ -95,6 +95,26 @@ TEST(bad_input) {
     CHECK(stats.items == 2 && stats.rejected == 2 && stats.outside == 0);
     CHECK(insert(c, (voxrt_columns_mode)9, p, index, 2, 3, 0, &stats) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_columns_insert(c, NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    {
+        voxrt_mesh m;
+        uint32_t stride;
+        memset(&m, 0, sizeof m);
+        in.to_world[3] = 0;
+        in.env.error = &e;
+        m.positions = p;
+        m.vertex_count = 3;
+        m.triangle_count = SIZE_MAX;
+        CHECK(voxrt_columns_insert(c, &in, &m, NULL) == VOXRT_ERR_RANGE && e.where == SIZE_MAX && strstr(e.text, "too many") != NULL);
+        if (sizeof(size_t) > 4) CHECK(voxrt_columns_insert_points(c, &in, p, 0, SIZE_MAX, NULL) == VOXRT_ERR_RANGE);
+        m.triangle_count = 1;
+        for (stride = 1; stride < 12; stride++) {
+            m.position_stride = stride;
+            CHECK(voxrt_columns_insert(c, &in, &m, NULL) == VOXRT_ERR_INVALID_ARG && strstr(e.text, "stride") != NULL);
+            CHECK(voxrt_columns_insert_points(c, &in, p, stride, 3, NULL) == VOXRT_ERR_INVALID_ARG);
+        }
+        m.position_stride = 12;
+        CHECK(voxrt_columns_insert(c, &in, &m, NULL) == VOXRT_OK);
+    }
     CHECK(voxrt_columns_insert_points(c, NULL, NULL, 0, 1, NULL) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_columns_trace(NULL, NULL, NULL, NULL, 0) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_columns_trace(c, NULL, NULL, NULL, 1) == VOXRT_ERR_INVALID_ARG);

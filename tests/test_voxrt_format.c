@@ -1229,32 +1229,38 @@ TEST(allocation_failures) {
 
 TEST(memory_limit) {
     voxrt_tree *t = make_tree(7, 1, 1), *u = NULL;
+    const char *path = test_temp_path(".vox");
     size_t size, limit;
     uint8_t *p;
-    int refused = 0;
+    int raw, named;
     REQUIRE(t != NULL);
-    p = save(t, 0, &size);
-    REQUIRE(p != NULL);
-    for (limit = 1000; limit < 10000000; limit = limit * 3 / 2) {
-        voxrt_load_desc d;
-        test_alloc ta;
-        voxrt_result r;
-        test_alloc_init(&ta);
-        memset(&d, 0, sizeof d);
-        d.env.allocator.alloc_fn = test_alloc_fn;
-        d.env.allocator.free_fn = test_free_fn;
-        d.env.allocator.user = &ta;
-        d.env.memory_limit = limit;
-        r = voxrt_tree_load_memory(&d, p, size, &u);
-        CHECK(r == VOXRT_OK || r == VOXRT_ERR_NO_MEMORY);
-        CHECK(ta.peak_bytes <= limit);
-        refused += r != VOXRT_OK;
-        voxrt_tree_destroy(u);
-        test_alloc_check(&ta);
-        if (r == VOXRT_OK) break;
-    }
-    CHECK(refused > 3 && limit < 10000000);
-    free(p);
+    for (raw = 0; raw < 2; raw++)
+        for (named = 0; named < 2; named++) { /* what is read from a file counts as well, until it has been read */
+            int refused = 0, done = 0;
+            p = save(t, raw, &size);
+            REQUIRE(p != NULL && test_write_file(path, p, size));
+            for (limit = 1000; limit < 10000000 && done < 3; limit = limit * 9 / 8) {
+                voxrt_load_desc d;
+                test_alloc ta;
+                voxrt_result r;
+                test_alloc_init(&ta);
+                memset(&d, 0, sizeof d);
+                d.env.allocator.alloc_fn = test_alloc_fn;
+                d.env.allocator.free_fn = test_free_fn;
+                d.env.allocator.user = &ta;
+                d.env.memory_limit = limit;
+                r = named ? voxrt_tree_load_file(&d, path, &u) : voxrt_tree_load_memory(&d, p, size, &u);
+                CHECK(r == VOXRT_OK || r == VOXRT_ERR_NO_MEMORY);
+                CHECK_MSG(ta.peak_bytes <= limit, "%d %d: %u bytes, the limit is %u", raw, named, (unsigned)ta.peak_bytes, (unsigned)limit);
+                refused += r != VOXRT_OK;
+                done += r == VOXRT_OK;
+                voxrt_tree_destroy(u);
+                test_alloc_check(&ta);
+            }
+            CHECK_MSG(refused > 3 && done == 3, "%d %d: %d refused, %d done", raw, named, refused, done);
+            free(p);
+        }
+    remove(path);
     voxrt_tree_destroy(t);
 }
 

@@ -2470,6 +2470,18 @@ TEST(bad_input) {
     o.mode = VOXRT_COLUMNS_THIN;
     o.spacing = 0.0f;
     CHECK(voxrt_gi_set(gi, 0, &o) == VOXRT_ERR_INVALID_ARG);
+    {
+        const size_t count = o.mesh.triangle_count;
+        o.mesh.triangle_count = SIZE_MAX;
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_RANGE);
+        o.mesh.triangle_count = count;
+        o.mesh.position_stride = 3;
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+        o.mesh.position_stride = 0;
+        o.mesh.vertex_rgb_stride = 2;
+        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_ERR_INVALID_ARG);
+        o.mesh.vertex_rgb_stride = 0;
+    }
     m.p[3][1] = NAN;
     m.index[5][2] = 1u << 30;
     CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);

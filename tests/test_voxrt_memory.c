@@ -41,6 +41,7 @@ static void world_open(world *w) {
     w->mesh.triangle_count = w->s.triangles;
     w->mesh.normals = w->s.normal;
     d.resolution = 64;
+    d.spread = 1;
     d.env.thread_count = 1;
     CHECK(voxrt_tree_build(&d, &w->mesh, NULL, &w->tree) == VOXRT_OK);
     CHECK(voxrt_octree_from_tree(NULL, w->tree, &w->octree) == VOXRT_OK);
@@ -124,6 +125,7 @@ static voxrt_result build_pages(world *w, const voxrt_env *env) {
     memset(&d, 0, sizeof d);
     d.env = *env;
     d.resolution = 64;
+    d.spread = 1;
     return written(w, voxrt_paged_build_file(&d, &w->mesh, w->fresh, NULL), NULL);
 }
 

@@ -745,6 +745,22 @@ TEST(arguments) {
     CHECK(voxrt_model_create(&md, &m) == VOXRT_ERR_RANGE && m == NULL);
     m = open_model(3, 0.0);
     CHECK(voxrt_model_mesh(m, NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    {
+        static const float corner[9] = {0, 0, 0, 1, 0, 0, 0, 1, 0};
+        voxrt_mesh mesh;
+        memset(&mesh, 0, sizeof mesh);
+        d.op = (voxrt_edit_op)0;
+        d._begin_zero = 0;
+        mesh.positions = corner;
+        mesh.vertex_count = 3;
+        mesh.triangle_count = SIZE_MAX;
+        CHECK(voxrt_model_mesh(m, &d, &mesh, &stats) == VOXRT_ERR_RANGE && error.where == SIZE_MAX && strstr(error.text, "too many") != NULL);
+        mesh.triangle_count = 1;
+        mesh.position_stride = 8;
+        CHECK(voxrt_model_mesh(m, &d, &mesh, &stats) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "stride") != NULL);
+        mesh.position_stride = 12;
+        CHECK(voxrt_model_mesh(m, &d, &mesh, &stats) == VOXRT_OK && stats.filled > 0);
+    }
     CHECK(voxrt_model_voxels(m, NULL, NULL, 1, NULL) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_model_box(NULL, NULL, lo, hi, NULL) == VOXRT_ERR_INVALID_ARG);
     voxrt_model_destroy(m);

@@ -307,6 +307,45 @@ TEST(files_on_disk) {
     voxrt_octree_destroy(t);
 }
 
+/* What is read from a file counts as well, until it has been read. */
+TEST(limits_while_loading) {
+    const char *path = test_temp_path(".vox");
+    voxrt_octree *t = make_shell(5, 0.4, 50, 3);
+    uint8_t *p;
+    size_t n = 0, limit;
+    int named;
+    CHECK(voxrt_octree_save_file(t, NULL, path) == VOXRT_OK);
+    p = test_read_file(path, &n);
+    REQUIRE(p != NULL);
+    for (named = 0; named < 2; named++) {
+        int refused = 0, done = 0;
+        for (limit = n / 2; limit < 100 * n && done < 3; limit += 1 + limit / 16) {
+            voxrt_octree_desc d;
+            voxrt_octree *u = NULL;
+            voxrt_result r;
+            test_alloc ta;
+            memset(&d, 0, sizeof d);
+            test_alloc_init(&ta);
+            d.env.allocator.alloc_fn = test_alloc_fn;
+            d.env.allocator.free_fn = test_free_fn;
+            d.env.allocator.user = &ta;
+            d.env.memory_limit = limit;
+            d.grid_level = 3;
+            r = named ? voxrt_octree_load_file(&d, path, &u) : voxrt_octree_load_memory(&d, p, n, &u);
+            CHECK((r == VOXRT_OK || r == VOXRT_ERR_NO_MEMORY) && (r == VOXRT_OK) == (u != NULL));
+            CHECK_MSG(ta.peak_bytes <= limit, "%d: %u bytes, the limit is %u", named, (unsigned)ta.peak_bytes, (unsigned)limit);
+            refused += r != VOXRT_OK;
+            done += r == VOXRT_OK;
+            voxrt_octree_destroy(u);
+            test_alloc_check(&ta);
+        }
+        CHECK_MSG(refused > 8 && done == 3, "%d: %d refused, %d done", named, refused, done);
+    }
+    free(p);
+    remove(path);
+    voxrt_octree_destroy(t);
+}
+
 /* ---- structure -------------------------------------------------------------------------------------------- */
 
 /* An octree keeps the limit of the call that made it, whatever that call held besides. */
@@ -1461,6 +1500,7 @@ int main(int argc, char **argv) {
     RUN(hostile_files);
     RUN(file_options);
     RUN(files_on_disk);
+    RUN(limits_while_loading);
     RUN(limits_that_stay);
     RUN(dense_counts);
     RUN(insertion);

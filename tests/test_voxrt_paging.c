@@ -1355,7 +1355,8 @@ TEST(pages_are_checked) {
         CHECK(k < 4 || wrong != 0 || p->page_count < 3);
         voxrt_paged_destroy(p);
         if (k >= 4) { /* finishes in the header and behind the table */
-            const size_t at = f.size - 72;
+            const size_t at = f.size - 72, table = (size_t)voxrti_load_u64(f.data + 64 + 2 * 40 + 8);
+            const uint8_t root = f.data[192 + 63];
             uint8_t was[4];
             f.data[192 + 63] = 2;
             CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL);
@@ -1372,6 +1373,20 @@ TEST(pages_are_checked) {
             CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
             f.data[32] ^= 2;
             REQUIRE(voxrt_paged_open(&d, &p) == VOXRT_OK);
+            voxrt_paged_destroy(p);
+            f.data[192 + 63] = root;
+            for (id = 0; id < 2; id++) { /* numbers that could be right: only the checksum of the table says that they are not */
+                uint8_t *byte = f.data + (id == 0 ? at : table) + 16;
+                *byte ^= 1; /* shininess of the finish, checksum of a page */
+                d.trust_input = 0;
+                CHECK_MSG(voxrt_paged_open(&d, &p) == VOXRT_ERR_CHECKSUM && p == NULL && error.where == table, "number %u", id);
+                d.trust_input = 1;
+                CHECK(voxrt_paged_open(&d, &p) == VOXRT_OK);
+                voxrt_paged_destroy(p);
+                *byte ^= 1;
+            }
+            d.trust_input = 0;
+            CHECK(voxrt_paged_open(&d, &p) == VOXRT_OK);
             voxrt_paged_destroy(p);
         }
         voxrt_tree_destroy(t);
@@ -1449,13 +1464,27 @@ TEST(files_change_and_fail) {
 }
 
 TEST(memory_runs_out) {
-    fixture x = fixture_make(12, 100, 1);
+    fixture x;
     voxrt_build_desc b;
+    voxrt_finish finish[2];
+    uint8_t number[2 * 12 * 12];
+    size_t i;
     int64_t k;
     int which;
+    memset(&x, 0, sizeof x);
     memset(&b, 0, sizeof b);
-    b.resolution = 100;
+    memset(finish, 0, sizeof finish);
+    finish[0].mirror[0] = finish[1].transparency[1] = 1.0f;
+    for (i = 0; i < sizeof number; i++) number[i] = (uint8_t)(i % 3);
+    x.h = hills_make(12, 1);
+    x.h.mesh.triangle_finish = number;
+    b.resolution = 100; /* and all that voxels can have */
     b.planes = 1;
+    b.spread = 1;
+    b.finishes = finish;
+    b.finish_count = 2;
+    REQUIRE(voxrt_tree_build(&b, &x.h.mesh, NULL, &x.t) == VOXRT_OK);
+    x.f = file_of(x.t);
     for (which = 0; which < 3; which++) {
         for (k = 0; k < 10000; k++) {
             test_alloc ta;
@@ -1618,6 +1647,19 @@ TEST(files_and_arguments) {
     d._end_zero = 1;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_UNINIT_DESC);
     CHECK(voxrt_paged_build(&b, &h->mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    { /* vertices that lie over each other; more triangles than have numbers */
+        voxrt_mesh m = h->mesh;
+        m.position_stride = 11;
+        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
+        m.position_stride = 0;
+        m.triangle_count = 0xffffffffu;
+        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
+        m.indices = NULL;
+        m.triangle_count = 0x55555555u;
+        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
+        m.triangle_count = SIZE_MAX;
+        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
+    }
     b.fill = 1;
     CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
     b.fill = 0;

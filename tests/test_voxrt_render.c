@@ -165,6 +165,16 @@ TEST(ray_conventions) {
     CHECK(voxrt_camera_ray(&c, 640, 0, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_camera_ray(&c, 640, 480, (double)NAN, 0, &r) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, (double)INFINITY, &r) == VOXRT_ERR_INVALID_ARG);
+    {
+        const double far_out[6] = {1e200, -1e200, 1e300, 1e42, -1.7e308, 1.7e308};
+        uint32_t k;
+        for (k = 0; k < 6; k++) { /* floats have no such direction */
+            CHECK(voxrt_camera_ray(&c, 640, 480, far_out[k], 0, &r) == VOXRT_ERR_INVALID_ARG);
+            CHECK(voxrt_camera_ray(&c, 640, 480, 0, far_out[k], &r) == VOXRT_ERR_INVALID_ARG);
+        }
+        CHECK(voxrt_camera_ray(&c, 640, 480, 1e30, -1e30, &r) == VOXRT_OK);
+        CHECK(fabsf(r.dir[0]) < INFINITY && fabsf(r.dir[1]) < INFINITY && fabsf(r.dir[2]) < INFINITY);
+    }
     c.fov_y = 180;
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
     c.fov_y = NAN;
@@ -175,13 +185,33 @@ TEST(ray_conventions) {
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
 }
 
+/* How far from the middle of the picture a point is seen: 1 is its edge; infinite: not before the eye. */
+static double seen_at(const voxrt_camera *c, uint32_t w, uint32_t h, const double p[3]) {
+    voxrt_ray r[3];
+    double x = 0, y = 0, z = 0, rx = 0, ry = 0;
+    uint32_t a;
+    CHECK(voxrt_camera_ray(c, w, h, w * 0.5, h * 0.5, &r[0]) == VOXRT_OK);
+    CHECK(voxrt_camera_ray(c, w, h, w, h * 0.5, &r[1]) == VOXRT_OK);
+    CHECK(voxrt_camera_ray(c, w, h, w * 0.5, 0, &r[2]) == VOXRT_OK);
+    for (a = 0; a < 3; a++) z += (p[a] - (double)c->eye[a]) * (double)r[0].dir[a];
+    if (!(z > 0)) return (double)INFINITY;
+    for (a = 0; a < 3; a++) { /* from the middle of the plane at depth 1, along its right and its upper edge */
+        const double right = (double)r[1].dir[a] - (double)r[0].dir[a], up = (double)r[2].dir[a] - (double)r[0].dir[a];
+        const double d = (p[a] - (double)c->eye[a]) / z - (double)r[0].dir[a];
+        x += d * right;
+        y += d * up;
+        rx += right * right;
+        ry += up * up;
+    }
+    return fmax(fabs(x / rx), fabs(y / ry));
+}
+
 TEST(camera_fit) {
     static const double lo[3] = {-3, 10, -1}, hi[3] = {5, 11, 4};
     test_rng rng = test_rng_make(7);
     uint32_t k, a, corner;
     for (k = 0; k < 200; k++) {
         voxrt_camera c;
-        voxrt_ray r[3];
         float view[3];
         uint32_t w = 1 + test_rng_below(&rng, 2000), h = 1 + test_rng_below(&rng, 2000);
         double most = 0;
@@ -190,26 +220,10 @@ TEST(camera_fit) {
         c.fov_y = test_rng_range(&rng, 5, 120);
         if (k & 1u) set3(c.up, 0, 0, 1);
         CHECK(voxrt_camera_fit(&c, lo, hi, (k & 2u) ? view : NULL, w, h) == VOXRT_OK);
-        CHECK(voxrt_camera_ray(&c, w, h, w * 0.5, h * 0.5, &r[0]) == VOXRT_OK);
-        CHECK(voxrt_camera_ray(&c, w, h, w, h * 0.5, &r[1]) == VOXRT_OK);
-        CHECK(voxrt_camera_ray(&c, w, h, w * 0.5, 0, &r[2]) == VOXRT_OK);
-        for (corner = 0; corner < 8; corner++) { /* project: coordinates along forward, right edge, upper edge */
-            double p[3], x = 0, y = 0, z = 0, rx = 0, ry = 0;
-            for (a = 0; a < 3; a++) {
-                double right = (double)r[1].dir[a] - (double)r[0].dir[a];
-                double up = (double)r[2].dir[a] - (double)r[0].dir[a];
-                p[a] = ((corner >> a & 1u) ? hi[a] : lo[a]) - (double)c.eye[a];
-                z += p[a] * (double)r[0].dir[a];
-                x += p[a] * right;
-                y += p[a] * up;
-                rx += right * right;
-                ry += up * up;
-            }
-            CHECK(z > 0);
-            x = fabs(x / rx / z);
-            y = fabs(y / ry / z);
-            most = x > most ? x : most;
-            most = y > most ? y : most;
+        for (corner = 0; corner < 8; corner++) {
+            double p[3];
+            for (a = 0; a < 3; a++) p[a] = (corner >> a & 1u) ? hi[a] : lo[a];
+            most = fmax(most, seen_at(&c, w, h, p));
         }
         CHECK_MSG(most <= 1.0001 && most > 0.5, "corners reach %g of the picture", most);
     }
@@ -221,6 +235,115 @@ TEST(camera_fit) {
         CHECK(voxrt_camera_fit(&c, off, end, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG); /* floats are 65536 apart there */
         CHECK(memcmp(&c, &before, sizeof c) == 0);
     }
+}
+
+typedef struct framed { const voxrt_camera *c; const voxrt_tree_info *info; uint32_t w, h; double most; } framed;
+
+static int frame_cell(void *user, const voxrt_voxel *v, uint32_t index) {
+    framed *f = (framed *)user;
+    const uint32_t cell[3] = {v->x, v->y, v->z};
+    uint32_t corner, a;
+    (void)index;
+    for (corner = 0; corner < 8; corner++) {
+        double p[3];
+        for (a = 0; a < 3; a++)
+            p[a] = f->info->world_origin[a] + f->info->voxel_size * (double)(cell[a] + (corner >> a & 1u));
+        f->most = fmax(f->most, seen_at(f->c, f->w, f->h, p));
+    }
+    return 0;
+}
+
+/* Whatever is filled is in the picture; where voxels are no finer than what is looked at it reaches near an edge, and
+   the eye is no farther away than for its box. */
+TEST(camera_fit_of_trees) {
+    static const uint32_t depth[6] = {1, 3, 6, 8, 9, 20};
+    test_rng rng = test_rng_make(11);
+    uint32_t i, k, a;
+    for (i = 0; i < 6; i++) {
+        const uint32_t n = 1u << depth[i], cell_count = depth[i] < 3 ? 3 : 40;
+        cells l;
+        voxrt_tree *t, *shared = NULL;
+        voxrt_tree_info info;
+        voxrt_build_desc d;
+        double lo[3], hi[3];
+        memset(&l, 0, sizeof l);
+        memset(&d, 0, sizeof d);
+        for (k = 0; k < cell_count; k++) /* along a diagonal, so that the box says little */
+            (void)add(&l, (uint32_t)((uint64_t)(n - 1) * k / cell_count), (uint32_t)((uint64_t)(n - 1) * k / cell_count),
+                      (uint32_t)((uint64_t)(n / 2) * (cell_count - k) / cell_count), 255, 0, 0);
+        d.box_size = 0.5 + i;
+        d.box_min[1] = 3;
+        d.box_min[2] = -7;
+        t = cells_tree(&l, &d, depth[i]);
+        REQUIRE(t != NULL && voxrt_tree_share(t, NULL, &shared) == VOXRT_OK);
+        voxrt_tree_get_info(t, &info);
+        voxrt_tree_bounds(t, lo, hi);
+        for (k = 0; k < 60; k++) {
+            const uint32_t w = 1 + test_rng_below(&rng, 2000), h = 1 + test_rng_below(&rng, 2000), square = k % 5 == 4;
+            voxrt_camera c, other, box;
+            float view[3];
+            framed f;
+            double far_tree = 0, far_box = 0;
+            memset(&c, 0, sizeof c);
+            for (a = 0; a < 3; a++) view[a] = test_rng_range(&rng, -1, 1);
+            c.fov_y = k % 3 == 0 ? 0 : test_rng_range(&rng, 5, 120);
+            if (k & 1u) set3(c.up, 0, 0, 1);
+            other = box = c;
+            CHECK(voxrt_camera_fit_tree(&c, t, (k & 2u) ? view : NULL, square ? 0 : w, h) == VOXRT_OK);
+            CHECK(voxrt_camera_fit_tree(&other, shared, (k & 2u) ? view : NULL, square ? 0 : w, h) == VOXRT_OK);
+            CHECK(memcmp(&c, &other, sizeof c) == 0 && c.fov_y == box.fov_y && memcmp(c.up, box.up, sizeof c.up) == 0);
+            f.c = &c;
+            f.info = &info;
+            f.w = square ? h : w;
+            f.h = h;
+            f.most = 0;
+            (void)voxrt_tree_each(t, depth[i], frame_cell, &f);
+            CHECK_MSG(f.most <= 1.0001 && (f.most > 0.5 || depth[i] > 6), "depth %u, view %u: voxels reach %g of the picture", depth[i], k, f.most);
+            CHECK(voxrt_camera_fit(&box, lo, hi, (k & 2u) ? view : NULL, square ? 0 : w, h) == VOXRT_OK);
+            for (a = 0; a < 3; a++) {
+                far_tree += ((double)c.eye[a] - (double)c.at[a]) * ((double)c.eye[a] - (double)c.at[a]);
+                far_box += ((double)box.eye[a] - (double)box.at[a]) * ((double)box.eye[a] - (double)box.at[a]);
+            }
+            if (depth[i] <= 6) CHECK_MSG(far_tree <= far_box * 1.0001, "depth %u, view %u: %g, not %g", depth[i], k, far_tree, far_box);
+        }
+        voxrt_tree_destroy(t);
+        voxrt_tree_destroy(shared);
+    }
+}
+
+/* Trees where floats do not reach, or cannot tell one voxel from the next; views that are none. The camera stays. */
+TEST(camera_fit_of_trees_out_of_reach) {
+    static const double size[5] = {1e300, 1e39, 1e-3, 1e-300, 1.0}, from[5] = {0, 0, 1e12, 1e30, 1e300};
+    const voxrt_camera before = look(1, 2, 3, 4, 5, 6, 40);
+    const float none[3] = {0, 0, 0}, wrong[3] = {0, NAN, 1};
+    cells l;
+    voxrt_camera c = before;
+    voxrt_tree *t;
+    int k;
+    memset(&l, 0, sizeof l);
+    for (k = 0; k < 5; k++) {
+        voxrt_build_desc d;
+        add_box(&l, 0, 0, 0, 4, 4, 4);
+        memset(&d, 0, sizeof d);
+        d.box_size = size[k];
+        d.box_min[0] = d.box_min[1] = d.box_min[2] = from[k];
+        t = cells_tree(&l, &d, 2);
+        REQUIRE(t != NULL);
+        CHECK_MSG(voxrt_camera_fit_tree(&c, t, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG, "tree %d", k);
+        voxrt_tree_destroy(t);
+    }
+    add_box(&l, 0, 0, 0, 4, 4, 4);
+    t = make_tree(&l, 2, 1.0, 0);
+    REQUIRE(t != NULL);
+    CHECK(voxrt_camera_fit_tree(&c, t, none, 10, 10) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_camera_fit_tree(&c, t, wrong, 10, 10) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_camera_fit_tree(&c, NULL, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_camera_fit_tree(NULL, t, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG);
+    c.fov_y = 180;
+    CHECK(voxrt_camera_fit_tree(&c, t, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG);
+    c.fov_y = before.fov_y;
+    CHECK(memcmp(&c, &before, sizeof c) == 0);
+    voxrt_tree_destroy(t);
 }
 
 /* A wall at z = 1 seen from an angle: depth is the distance of the hit point along the view, alpha and miss values. */
@@ -1787,6 +1910,8 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(ray_conventions);
     RUN(camera_fit);
+    RUN(camera_fit_of_trees);
+    RUN(camera_fit_of_trees_out_of_reach);
     RUN(depth_and_alpha);
     RUN(orientation_and_unlit_colors);
     RUN(compose);

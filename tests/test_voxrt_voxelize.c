@@ -2000,6 +2000,66 @@ TEST(strides) {
     shape_free(&s);
 }
 
+/* Vertices that lie over each other are a mistake, for each array; 0 and what an element has are not. */
+TEST(strides_that_are_too_short) {
+    static const float p[9] = {0, 0, 0, 1, 0, 0, 0, 1, 0};
+    static const uint8_t rgb[9] = {255, 0, 0, 0, 255, 0, 0, 0, 255};
+    uint32_t array, stride;
+    for (array = 0; array < 3; array++)
+        for (stride = 0; stride <= 12; stride++) {
+            const uint32_t least = array < 2 ? 12 : 3;
+            voxrt_build_desc d = desc_of(8, VOXRT_SEPARATING_6);
+            voxrt_error e;
+            voxrt_mesh m;
+            voxrt_tree *t = NULL;
+            voxrt_result r;
+            if (stride > least) continue;
+            memset(&m, 0, sizeof m);
+            memset(&e, 0, sizeof e);
+            d.env.error = &e;
+            m.positions = m.normals = p;
+            m.vertex_rgb = rgb;
+            m.vertex_count = 3;
+            m.triangle_count = 1;
+            *(array == 0 ? &m.position_stride : array == 1 ? &m.normal_stride : &m.vertex_rgb_stride) = stride;
+            r = voxrt_tree_build(&d, &m, NULL, &t);
+            CHECK_MSG(r == (stride == 0 || stride == least ? VOXRT_OK : VOXRT_ERR_INVALID_ARG), "array %u, stride %u", array, stride);
+            CHECK((r == VOXRT_OK) == (t != NULL) && (r == VOXRT_OK || strstr(e.text, "stride") != NULL));
+            voxrt_tree_destroy(t);
+        }
+}
+
+/* Said at once, and before anything is allocated: also for numbers that no sum fits into. */
+TEST(too_many_triangles) {
+    static const float p[9] = {0, 0, 0, 1, 0, 0, 0, 1, 0};
+    static const uint32_t index[3] = {0, 1, 2};
+    const size_t count[5] = {0xffffffffu, SIZE_MAX, SIZE_MAX - 1, SIZE_MAX - 5000, SIZE_MAX / 2 + 1};
+    int i, how;
+    for (i = 0; i < 5; i++)
+        for (how = 0; how < 4; how++) { /* with indices; with a box */
+            voxrt_build_desc d = desc_of(8, VOXRT_SEPARATING_6);
+            voxrt_error e;
+            voxrt_build_stats stats;
+            voxrt_mesh m;
+            voxrt_tree *t = NULL;
+            test_alloc ta;
+            memset(&m, 0, sizeof m);
+            memset(&e, 0, sizeof e);
+            test_alloc_init(&ta);
+            d.env.allocator.alloc_fn = test_alloc_fn;
+            d.env.allocator.free_fn = test_free_fn;
+            d.env.allocator.user = &ta;
+            d.env.error = &e;
+            d.box_size = how & 2 ? 2 : 0;
+            m.positions = p;
+            m.vertex_count = 3;
+            m.triangle_count = count[i];
+            if (how & 1) m.indices = index;
+            CHECK_EQ_U64(voxrt_tree_build(&d, &m, &stats, &t), VOXRT_ERR_RANGE);
+            CHECK(t == NULL && e.where == count[i] && strstr(e.text, "triangles are too many") != NULL && ta.count == 0);
+        }
+}
+
 int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(single_triangles);
@@ -2043,5 +2103,7 @@ int main(int argc, char **argv) {
     RUN(flat_inputs);
     RUN(huge_and_small_coordinates);
     RUN(strides);
+    RUN(strides_that_are_too_short);
+    RUN(too_many_triangles);
     return test_end();
 }

@@ -3,11 +3,15 @@
 #define VOXRT_IMPLEMENTATION
 #include "../../voxrt.h"
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-typedef struct seen { const voxrt_tree *t; uint32_t level; uint64_t count, last; } seen;
+static const voxrt_finish finishes[2] = {{1, {1, 0, 0}, 9, {0, 0, 0}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}},
+                                         {0, {0, 0, 0}, 0, {1, 1, 1}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}}};
+typedef struct seen { const voxrt_tree *t; uint32_t level; uint64_t count, last; int plain; } seen;
 static int cell(void *user, const voxrt_voxel *v, uint32_t index) {
     seen *s = (seen *)user;
     uint64_t key = voxrti_morton(v->x, v->y, v->z);
+    const voxrt_finish *f = voxrt_tree_finish(s->t, index);
     voxrt_voxel got;
+    if (f != NULL && (s->plain || (memcmp(f, &finishes[0], sizeof *f) != 0 && memcmp(f, &finishes[1], sizeof *f) != 0))) abort();
     if ((s->count++ != 0 && key <= s->last) || index >= s->t->palette_count) abort();
     if (!voxrt_tree_get(s->t, s->level, v->x, v->y, v->z, &got) || memcmp(got.rgb, v->rgb, 3) != 0) abort();
     if (s->level != 0 && !voxrt_tree_get(s->t, s->level - 1, v->x / 2, v->y / 2, v->z / 2, NULL)) abort();
@@ -67,8 +71,6 @@ static void as_model(const voxrt_tree *t, uint8_t how) {
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
-    static const voxrt_finish finishes[2] = {{1, {1, 0, 0}, 9, {0, 0, 0}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}},
-                                             {0, {0, 0, 0}, 0, {1, 1, 1}, {0, 0, 0}, 0, {0, 0, 0}, {0, 0, 0}}};
     float p[2][9 * 64];
     uint8_t rgb[2][3 * 64], finish[2][64];
     voxrt_tree *t = NULL, *again = NULL;
@@ -94,7 +96,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     }
     if (voxrt_tree_hash(t) != voxrt_tree_hash(again)) abort(); /* 0: no tree */
     for (k = 0; t != NULL && k <= t->depth; k++) {
-        seen s = {t, (uint32_t)k, 0, 0};
+        seen s = {t, (uint32_t)k, 0, 0, (data[7] & 8) == 0};
         voxrt_tree_info info;
         if (voxrt_tree_get_info(t, &info), voxrt_tree_each(t, s.level, cell, &s) != 0 || s.count != info.level_count[k]) abort();
     }

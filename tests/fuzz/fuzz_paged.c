@@ -112,7 +112,8 @@ static void group_of(const voxrt_geometry *g, const uint8_t *o) {
     voxrt_group_destroy(within);
 }
 
-/* The file against the tree: what rays see. */
+/* The file against the tree: what rays see, with what is there before pages are read, with all that they need, and with what
+   is there then. */
 static void look(const file *f, const voxrt_tree *t, const uint8_t *o) {
     voxrt_paged_desc d;
     voxrt_paged *p = NULL;
@@ -120,26 +121,38 @@ static void look(const file *f, const voxrt_tree *t, const uint8_t *o) {
     voxrt_trace_desc td;
     voxrt_ray ray[RAYS];
     voxrt_surface s[RAYS], same[RAYS];
-    uint32_t k;
+    voxrt_hit hit[RAYS];
+    uint8_t occluded[RAYS];
+    uint32_t k, turn;
     memset(&d, 0, sizeof d);
     memset(&td, 0, sizeof td);
     d.data = f->data;
     d.size = f->size;
-    d.wait = 1;
     d.memory = (size_t)1 << 23;
     must(voxrt_paged_open(&d, &p) == VOXRT_OK);
     voxrt_paged_geometry(p, &g);
     voxrt_tree_geometry(t, &whole);
     rays_into(&g, o, ray);
     td.isa = (voxrt_isa)(o[11] % 5);
-    g.trace_fn(g.user, &td, ray, s, RAYS);
     whole.trace_fn(whole.user, &td, ray, same, RAYS);
-    for (k = 0; k < RAYS; k++) { /* each has finishes of its own */
-        must((s[k].finish != NULL) == (same[k].finish != NULL));
-        if (s[k].finish != NULL) must(memcmp(s[k].finish, same[k].finish, sizeof *s[k].finish) == 0);
-        s[k].finish = same[k].finish = NULL;
+    must(voxrt_trace(t, &td, ray, hit, RAYS) == VOXRT_OK);
+    for (k = 0; k < RAYS; k++)
+        if (hit[k].node != VOXRT_NO_NODE) must(voxrt_hit_finish(t, &hit[k]) == same[k].finish);
+    for (turn = 0; turn < 3; turn++) {
+        voxrt_paged_wait(p, turn == 1);
+        g.trace_fn(g.user, &td, ray, s, RAYS);
+        g.occluded_fn(g.user, &td, ray, occluded, RAYS);
+        for (k = 0; k < RAYS; k++) { /* what is missing is solid, never a hole */
+            must(s[k].t <= same[k].t && occluded[k] == (s[k].t < INFINITY));
+            if (turn != 1) continue;
+            must((s[k].finish != NULL) == (same[k].finish != NULL)); /* each has finishes of its own */
+            if (s[k].finish != NULL) must(memcmp(s[k].finish, same[k].finish, sizeof *s[k].finish) == 0);
+            s[k].finish = same[k].finish = NULL;
+        }
+        if (turn == 1) must(memcmp(s, same, sizeof s) == 0);
     }
-    must(memcmp(s, same, sizeof s) == 0);
+    must(voxrt_paged_update(p, 0, NULL) == VOXRT_OK);
+    voxrt_paged_wait(p, 1);
     group_of(&g, o);
     voxrt_paged_destroy(p);
 }

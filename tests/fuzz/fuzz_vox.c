@@ -132,6 +132,31 @@ static void use_paged(const uint8_t *data, size_t size, const voxrt_tree *t) {
     }
 }
 
+/* What a file says of finishes: numbers as they have to be, and the same from a hit as from what a ray sees. */
+static void finishes(const voxrt_tree *t, const voxrt_ray ray[8], const voxrt_hit hit[8]) {
+    voxrt_geometry g;
+    voxrt_trace_desc td;
+    voxrt_surface s[8];
+    uint32_t entries = 0, i;
+    (void)voxrt_tree_palette(t, &entries);
+    must(voxrt_tree_finish(t, entries) == NULL && voxrt_tree_finish(t, 0xffffffffu) == NULL);
+    for (i = 0; i < entries && i < 4096; i++) {
+        const voxrt_finish *f = voxrt_tree_finish(t, i);
+        must(f == NULL || voxrti_finish_ok(f));
+    }
+    memset(&td, 0, sizeof td);
+    voxrt_tree_geometry(t, &g);
+    g.trace_fn(g.user, &td, ray, s, 8);
+    for (i = 0; i < 8; i++) {
+        must((s[i].t < INFINITY) == (hit[i].node != VOXRT_NO_NODE));
+        if (hit[i].node != VOXRT_NO_NODE) must(s[i].finish == voxrt_hit_finish(t, &hit[i]));
+    }
+}
+
+static int same_finish(const voxrt_finish *a, const voxrt_finish *b) {
+    return a == NULL || b == NULL ? a == b : memcmp(a, b, sizeof *a) == 0;
+}
+
 static void use(voxrt_tree *t) {
     voxrt_tree *again = NULL;
     voxrt_octree *o = NULL;
@@ -166,6 +191,7 @@ static void use(voxrt_tree *t) {
         voxrt_hit_color(t, &one, rgb);
         must(voxrt_tree_get(t, one.level, one.cell[0], one.cell[1], one.cell[2], NULL));
     }
+    finishes(t, ray, hit);
     for (i = 0; i <= t->depth; i++) {
         uint64_t sum = 0;
         (void)voxrt_tree_each(t, (uint32_t)i, seen, &sum);
@@ -208,6 +234,7 @@ static void use(voxrt_tree *t) {
         if (small) must(voxrt_tree_hash(other) == voxrt_tree_hash(t));
         for (i = 0; i < 8; i++) {
             must(voxrt_trace1(other, &ray[i], &one) == (hit[i].node != VOXRT_NO_NODE));
+            if (one.node != VOXRT_NO_NODE) must(same_finish(voxrt_hit_finish(other, &one), voxrt_hit_finish(t, &hit[i])));
             one.node = hit[i].node;
             must(memcmp(&one, &hit[i], sizeof one) == 0);
         }
