@@ -15663,12 +15663,12 @@ static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the pictu
 /* Where fills mix the samples around a pixel it is as near as the nearest of them, and empty if there is none. */
 static void zbufrandi_between_rows(void *ctx, uint32_t y) {
     const zbufrandi_picture *p = (const zbufrandi_picture *)ctx;
-    const uint32_t width = p->f->recon.width, far = zbufrandi_recon_between(&p->f->recon);
+    const uint32_t width = p->f->recon.width, reach = zbufrandi_recon_between(&p->f->recon);
     const float *in = p->f->depth + (size_t)y * width;
     float *out = p->f->depth + (size_t)width * p->f->recon.height + (size_t)y * width;
     uint32_t x, k;
     memcpy(out, in, width * sizeof *out);
-    for (k = 1; k <= far && k < width; k++) {
+    for (k = 1; k <= reach && k < width; k++) {
         for (x = 0; x < width - k; x++) out[x] = in[x + k] < out[x] ? in[x + k] : out[x];
         for (x = k; x < width; x++) out[x] = in[x - k] < out[x] ? in[x - k] : out[x];
     }
@@ -15677,12 +15677,12 @@ static void zbufrandi_between_rows(void *ctx, uint32_t y) {
 static void zbufrandi_between_columns(void *ctx, uint32_t y) {
     const zbufrandi_picture *p = (const zbufrandi_picture *)ctx;
     const zbufrandi_recon *r = &p->f->recon;
-    const uint32_t far = zbufrandi_recon_between(r);
+    const uint32_t reach = zbufrandi_recon_between(r);
     const float *in = p->f->depth + (size_t)r->width * r->height;
     float *out = p->f->depth + (size_t)y * r->width;
-    uint32_t x, v = y < far ? 0 : y - far;
+    uint32_t x, v = y < reach ? 0 : y - reach;
     memcpy(out, in + (size_t)y * r->width, r->width * sizeof *out);
-    for (; v < r->height && v <= y + far; v++) {
+    for (; v < r->height && v <= y + reach; v++) {
         const float *row = in + (size_t)v * r->width;
         for (x = 0; x < r->width; x++) out[x] = row[x] < out[x] ? row[x] : out[x];
     }
