@@ -288,23 +288,22 @@ int main(void) { return 0; }' > "$OUT/tu/m32.$BASHPID.c"
     c "$@"
 }
 group_matrix() {
-    local n P t cc s m k opts o1 o3; local -a macros
+    local n P t cc s m k opts o3; local -a macros
     for n in "${HEADERS[@]}"; do
         P=$(upper $n); t=$OUT/tu/$n; mapfile -t macros < <(option_macros $n)
         for cc in gcc clang; do
             # gcc finds more when it optimizes, clang the same, but for what only code generation refuses
-            [ $cc = gcc ] && o1=-O1 o3=-O3 || o1=-O0 o3=-O0
+            [ $cc = gcc ] && o3=-O3 || o3=-O0
             for s in $STD_C; do
                 if [ $s = c99 ]; then item "matrix $n $cc $s" c $cc -std=$s -O0 -c -o /dev/null "$t/impl.c"
                 else item "matrix $n $cc $s" c $cc -std=$s -fsyntax-only "$t/impl.c"; fi
                 item "matrix $n $cc $s STATIC" c $cc -std=$s -fsyntax-only -D${P}_STATIC "$t/impl.c"
                 item "matrix $n $cc $s declarations" c $cc -std=$s -fsyntax-only "$t/decl.c"
             done
-            item "matrix $n $cc NDEBUG $o1" c $cc -std=c99 $o1 -DNDEBUG -c -o /dev/null "$t/impl.c"
             item "matrix $n $cc poison" c $cc -std=c99 -fsyntax-only "$t/poison.c"
             item "matrix $n $cc complex.h" c $cc -std=c99 -fsyntax-only "$t/complex.c"
             item "matrix $n $cc own allocator" c $cc -std=c99 -O0 -c -o /dev/null "$t/custom.c"
-            item "matrix $n $cc $o3 -march=native" c $cc -std=gnu17 $o3 -march=native -c -o /dev/null "$t/impl.c"
+            item "matrix $n $cc NDEBUG $o3 -march=native" c $cc -std=gnu17 $o3 -march=native -DNDEBUG -c -o /dev/null "$t/impl.c"
             item "matrix $n $cc -m32" m32 $cc -m32 -std=c99 -O0 -c -o /dev/null "$t/impl.c"
             for m in "${macros[@]}"; do
                 item "matrix $n $cc $m" c $cc -std=c99 -O0 -D$m -c -o /dev/null "$t/impl.c"
@@ -328,7 +327,6 @@ group_matrix() {
                 item "matrix $n $cc $m" cxx $cc -x c++ -std=c++17 -fsyntax-only -D$m "$t/impl.c"
             done
         done
-        item "matrix $n g++ -O2" cxx g++ -x c++ -std=c++17 -O2 -c -o /dev/null "$t/impl.c"
     done
     if [ ${#HEADERS[@]} -gt 1 ]; then
         for s in all all_reverse; do
@@ -697,7 +695,8 @@ group_programs() {
     done
     # those whose system is installed
     solo "programs peers" make -j"$JOBS" B="$OUT/peers" PEER_CXXFLAGS="-std=c++17 -fsyntax-only -Wall -Wextra -Werror -march=native" peers
-    solo "programs make all" make -j"$JOBS" all
+    solo "programs examples" make -j"$JOBS" examples
+    solo "programs benches" make -j"$JOBS" B="$OUT/benches" OPT=-O1 benches # not those that are to be fast
     solo "programs exit statuses" exit_statuses
     [ -f tetcast.h ] && item "programs bricks' options" bricks_options
     item "programs docs/programs.md says what --help says" help_same
