@@ -778,7 +778,7 @@ typedef struct tetcast_optics_info {
                                       < 0: nobody knows (sampling and tables; rays of independent colours that
                                       end early, path_length 0). For backgrounds of at most white */
     float bound_integral;          /* the integral itself and the rounding of values and positions: an estimate */
-    float bound_end, bound_knots;  /* ending early, knots left out: guaranteed */
+    float bound_end, bound_knots;  /* ending early, knots left out: guaranteed; < 0 as above */
     size_t table_bytes;            /* 0: there is no table */
 } tetcast_optics_info;
 

@@ -91,6 +91,10 @@ static tetcast_mesh *build(const uint8_t *o, const float *f, const uint8_t *low)
     must(r[0] == r[1] && memcmp(&report[0], &report[1], sizeof report[0]) == 0);
     if (mesh[1] != NULL) {
         tetcast_mesh_info a, b;
+        tetcast_report kept;
+        memset(&kept, 0, sizeof kept);
+        tetcast_mesh_get_report(mesh[1], &kept);
+        must(memcmp(&kept, &report[0], sizeof kept) == 0);
         memset(&a, 0, sizeof a); memset(&b, 0, sizeof b);
         tetcast_mesh_get_info(mesh[0], &a);
         tetcast_mesh_get_info(mesh[1], &b);
@@ -323,6 +327,8 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     tetcast_render_desc d;
     tetcast_transfer *transfer = NULL, *other = NULL;
     tetcast_optics *optics = NULL;
+    tetcast_transfer_info ti;
+    tetcast_optics_info oi;
     uint32_t i, k;
     memset(&td, 0, sizeof td); memset(&od, 0, sizeof od); memset(&d, 0, sizeof d); memset(knot, 0, sizeof knot); memset(iso, 0, sizeof iso);
     memset(&light, 0, sizeof light);
@@ -364,6 +370,9 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     od.lights = &light;
     od.light_count = o[11] >> 6 & 1;
     if (tetcast_transfer_create(&td, &transfer) != TETCAST_OK) return;
+    tetcast_transfer_get_info(transfer, &ti);
+    must(ti.knot_count + ti.dropped_count >= ti.jump_count && ti.value[0] <= ti.value[1] && ti.isovalue_count <= td.isovalue_count);
+    must(is_finite(ti.largest_extinction) && is_finite(ti.largest_color) && ti.largest_extinction >= 0.0f && ti.largest_color >= 0.0f);
     if (td.point_count != 0) { /* one knot is another one */
         tetcast_control_point was = knot[o[17] >> 2 & 7];
         knot[o[17] >> 2 & 7].extinction = 3;
@@ -374,6 +383,8 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     }
     if (tetcast_optics_create(transfer, &od, &optics) == TETCAST_OK) {
         const int every = od.cue == 0 && (o[12] & 1) == 0;
+        tetcast_optics_get_info(optics, &oi);
+        must(oi.model == od.model && oi.bound == oi.bound && (oi.bound < 0.0f || (oi.bound_end >= 0.0f && oi.bound_knots >= 0.0f)));
         for (k = 0; k < 3; k++) {
             d.camera.eye[k] = o[12] & 2 ? (double)f[90 + k] : 0;
             d.camera.at[k] = o[12] & 4 ? (double)f[93 + k] : 0;
@@ -462,6 +473,20 @@ static void bricks(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
     cd.byte_budget = o[15] & 32 ? 1u << 14 : 0;
     if (tetcast_cut_create(&cd, b, &cut) == TETCAST_OK) {
         float x[3][9], v[9], g[9][3];
+        const uint8_t *level = tetcast_cut_levels(cut);
+        uint64_t slots[TETCAST_BRICK_LEVELS] = {0};
+        tetcast_bricks_info info;
+        tetcast_cut_info ci;
+        double pace;
+        tetcast_bricks_get_info(b, &info);
+        tetcast_cut_get_info(cut, &ci);
+        for (i = 0; i < info.slots[0] * info.slots[1] * info.slots[2]; i++) {
+            must(level[i] < info.levels);
+            slots[level[i]]++;
+        }
+        must(memcmp(slots, ci.level_slots, sizeof slots) == 0 && ci.samples >= 1.0 / 32.0 && ci.samples <= 1.0);
+        pace = tetcast_cut_pace(&ci, (double)f[140], (double)f[141]);
+        must(pace >= 1.0 / 32.0 && pace <= 1.0);
         for (i = 0; i < 27; i++) x[i / 9][i % 9] = f[113 + i];
         tetcast_cut_sample(cut, x[0], x[1], x[2], 9, TETCAST_ISA_AUTO, v);
         tetcast_cut_gradient(cut, x[0], x[1], x[2], 9, v, g);
