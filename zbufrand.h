@@ -7181,19 +7181,17 @@ ZBUFRANDI_TARGET_AVX2 static void zbufrandi_pyramid_tile_avx2(zbufrandi_pyramid 
 }
 #endif
 
-/* Level 0, tiles column0 <= column < column1 of the rows row0 <= row < row1. Different rows may be done by different
-   threads; zbufrandi_pyramid_reduce follows. level 0: the best here. */
-static ZBUFRANDI_UNUSED void zbufrandi_pyramid_tiles(zbufrandi_pyramid *p, const zbufrandi_keys *keys,
-                                                     const zbufrandi_keys *exact, uint32_t column0, uint32_t column1,
-                                                     uint32_t row0, uint32_t row1, int level) {
+/* Level 0, tiles of the rows row0 <= row < row1. Different rows may be done by different threads;
+   zbufrandi_pyramid_reduce follows. */
+static void zbufrandi_pyramid_tiles(zbufrandi_pyramid *p, const zbufrandi_keys *keys, const zbufrandi_keys *exact,
+                                    uint32_t row0, uint32_t row1, int level) {
     uint32_t column, row;
 #if ZBUFRANDI_AVX2
     int32_t before, after;
     zbufrandi_pyramid_window(p, &before, &after);
-    if (level == 0) level = zbufrandi_cpu_level();
 #endif
     for (row = row0; row < row1; row++) {
-        for (column = column0; column < column1; column++) {
+        for (column = 0; column < p->columns[0]; column++) {
 #if ZBUFRANDI_AVX2
             if (level >= 3 && 8 * column >= (uint32_t)before && 8 * row >= (uint32_t)before &&
                 8 * column + 8 + (uint32_t)after <= p->width && 8 * row + 8 + (uint32_t)after <= p->height) {
@@ -7207,47 +7205,21 @@ static ZBUFRANDI_UNUSED void zbufrandi_pyramid_tiles(zbufrandi_pyramid *p, const
     (void)level;
 }
 
-/* Coarser levels above those tiles. */
-static ZBUFRANDI_UNUSED void zbufrandi_pyramid_reduce(zbufrandi_pyramid *p, uint32_t column0, uint32_t column1,
-                                                      uint32_t row0, uint32_t row1) {
+/* The coarser levels. */
+static void zbufrandi_pyramid_reduce(zbufrandi_pyramid *p) {
     uint32_t l, x, y;
-    if (column0 >= column1 || row0 >= row1) return;
-    column1--;
-    row1--;
     for (l = 1; l < p->levels; l++) {
-        column0 /= 2;
-        column1 /= 2;
-        row0 /= 2;
-        row1 /= 2;
-        for (y = row0; y <= row1; y++) {
+        for (y = 0; y < p->rows[l]; y++) {
             const float *a = p->depth[l - 1] + (size_t)(2 * y) * p->columns[l - 1];
             const float *b = 2 * y + 1 < p->rows[l - 1] ? a + p->columns[l - 1] : a;
             float *out = p->depth[l] + (size_t)y * p->columns[l];
-            for (x = column0; x <= column1; x++) {
+            for (x = 0; x < p->columns[l]; x++) {
                 const uint32_t i = 2 * x, j = i + 1 < p->columns[l - 1] ? i + 1 : i;
                 const float m = a[i] > a[j] ? a[i] : a[j], n = b[i] > b[j] ? b[i] : b[j];
                 out[x] = m > n ? m : n;
             }
         }
     }
-}
-
-/* Everything that keys within the pixels x0 <= x < x1, y0 <= y < y1 may have changed. Cost: 0.15 ns per pixel with
-   d = 1, 0.5 with d = 2 (AVX2). */
-static ZBUFRANDI_UNUSED void zbufrandi_pyramid_refresh(zbufrandi_pyramid *p, const zbufrandi_keys *keys,
-                                                       const zbufrandi_keys *exact, uint32_t x0, uint32_t y0,
-                                                       uint32_t x1, uint32_t y1, int level) {
-    if (x1 > p->width) x1 = p->width;
-    if (y1 > p->height) y1 = p->height;
-    if (x0 >= x1 || y0 >= y1) return;
-    x0 = x0 > p->reach_lo ? (x0 - p->reach_lo) / 8 : 0;
-    y0 = y0 > p->reach_lo ? (y0 - p->reach_lo) / 8 : 0;
-    x1 = (x1 - 1 + p->reach_hi) / 8 + 1;
-    y1 = (y1 - 1 + p->reach_hi) / 8 + 1;
-    if (x1 > p->columns[0]) x1 = p->columns[0];
-    if (y1 > p->rows[0]) y1 = p->rows[0];
-    zbufrandi_pyramid_tiles(p, keys, exact, x0, x1, y0, y1, level);
-    zbufrandi_pyramid_reduce(p, x0, x1, y0, y1);
 }
 
 typedef struct zbufrandi_pyramid_job {
@@ -7259,20 +7231,20 @@ typedef struct zbufrandi_pyramid_job {
 static void zbufrandi_pyramid_task(void *ctx, uint32_t task) {
     const zbufrandi_pyramid_job *j = (const zbufrandi_pyramid_job *)ctx;
     uint32_t row0 = 8 * task, row1 = row0 + 8 < j->p->rows[0] ? row0 + 8 : j->p->rows[0];
-    zbufrandi_pyramid_tiles(j->p, j->keys, j->exact, 0, j->p->columns[0], row0, row1, j->level);
+    zbufrandi_pyramid_tiles(j->p, j->keys, j->exact, row0, row1, j->level);
 }
 
-/* All of it, by the threads of env. */
-static ZBUFRANDI_UNUSED void zbufrandi_pyramid_refresh_all(const zbufrand_env *env, zbufrandi_pyramid *p,
-                                                           const zbufrandi_keys *keys, const zbufrandi_keys *exact,
-                                                           int level) {
+/* All of it, by the threads of env. Cost: 0.15 ns per pixel with d = 1, 0.5 with d = 2 (AVX2). level 0: the best
+   here. */
+static void zbufrandi_pyramid_refresh(const zbufrand_env *env, zbufrandi_pyramid *p, const zbufrandi_keys *keys,
+                                      const zbufrandi_keys *exact, int level) {
     zbufrandi_pyramid_job j;
     j.p = p;
     j.keys = keys;
     j.exact = exact;
     j.level = level == 0 ? zbufrandi_cpu_level() : level;
     zbufrandi_parallel_for(env, zbufrandi_pyramid_task, &j, (p->rows[0] + 7) / 8);
-    zbufrandi_pyramid_reduce(p, 0, p->columns[0], 0, p->rows[0]);
+    zbufrandi_pyramid_reduce(p);
 }
 
 /* ---- boxes ---- */
@@ -8119,24 +8091,25 @@ static void zbufrandi_ray_structure(zbufrandi_ray_walk *walk, uint32_t structure
 }
 
 static void zbufrandi_ray_open(zbufrandi_ray_walk *walk, const zbufrandi_rays *r, const zbufrandi_ray *ray,
-                               zbufrandi_ray_hit *hit) {
+                               zbufrandi_ray_hit *hit, const zbufrandi_veil *veil, uint32_t pixel) {
     walk->r = r;
     walk->t_min = ray->t_min > 0.0 ? ray->t_min : 0.0;
     walk->best = ray->t_max;
     walk->levels = 0;
     walk->hit = hit;
-    walk->veil = NULL;
-    walk->pixel = 0;
+    walk->veil = veil;
+    walk->pixel = pixel;
     hit->t = (double)INFINITY;
     hit->levels = 0;
 }
 
 /* Closest hit; of several at the same t always the same. 0: none, hit->t is INFINITY then. Rays that are not
-   finite or have no direction hit nothing. Any number of threads at once. */
-static ZBUFRANDI_UNUSED int zbufrandi_ray_cast(const zbufrandi_rays *r, const zbufrandi_ray *ray,
-                                               zbufrandi_ray_hit *hit) {
+   finite or have no direction hit nothing. With a veil the ray passes through what `pixel` does not show. Any number of
+   threads at once. */
+static int zbufrandi_ray_cast(const zbufrandi_rays *r, const zbufrandi_ray *ray, zbufrandi_ray_hit *hit,
+                              const zbufrandi_veil *veil, uint32_t pixel) {
     zbufrandi_ray_walk walk;
-    zbufrandi_ray_open(&walk, r, ray, hit);
+    zbufrandi_ray_open(&walk, r, ray, hit, veil, pixel);
     if (r->structure_count == 0 || !(walk.t_min <= walk.best)) return 0;
     zbufrandi_ray_structure(&walk, 0, ray->o, ray->d);
     return hit->t < (double)INFINITY;
@@ -8417,10 +8390,10 @@ static void zbufrandi_ray_structure8(zbufrandi_ray_bundle *b, uint32_t mask, uin
 #endif
 
 /* As zbufrandi_ray_cast for each of `count` rays, with the same hits; faster if neighbours in the array are neighbours
-   in space: rays through the pixels of small tiles one after the other. Returns how many hit something. With a veil the
-   rays pass through what pixel[i] does not show. */
-static size_t zbufrandi_ray_cast_veiled(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
-                                        zbufrandi_ray_hit *hit, const zbufrandi_veil *veil, const uint32_t *pixel) {
+   in space: rays through the pixels of small tiles one after the other. Returns how many hit something. Without a veil
+   `pixel` is NULL. */
+static size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
+                                      zbufrandi_ray_hit *hit, const zbufrandi_veil *veil, const uint32_t *pixel) {
     size_t i = 0, hits = 0;
 #if ZBUFRANDI_AVX2
     if (r->level >= 3 && r->structure_count != 0) {
@@ -8430,12 +8403,10 @@ static size_t zbufrandi_ray_cast_veiled(const zbufrandi_rays *r, const zbufrandi
             const uint32_t n = count - i < 8 ? (uint32_t)(count - i) : 8;
             uint32_t k, mask = 0;
             for (k = 0; k < 8; k++) {
-                const uint32_t from = k < n ? k : 0;
-                zbufrandi_ray_open(&b.walk[k], r, &ray[i + from], &hit[i + from]);
-                b.walk[k].veil = veil;
-                if (veil != NULL) b.walk[k].pixel = pixel[i + from];
-                memcpy(o[k], ray[i + from].o, sizeof o[k]);
-                memcpy(d[k], ray[i + from].d, sizeof d[k]);
+                const size_t from = i + (k < n ? k : 0);
+                zbufrandi_ray_open(&b.walk[k], r, &ray[from], &hit[from], veil, veil == NULL ? 0 : pixel[from]);
+                memcpy(o[k], ray[from].o, sizeof o[k]);
+                memcpy(d[k], ray[from].d, sizeof d[k]);
                 if (k < n && b.walk[k].t_min <= b.walk[k].best) mask |= 1u << k;
             }
             zbufrandi_ray_structure8(&b, mask, 0, ZBUFRANDI_RAY_EIGHT(o), ZBUFRANDI_RAY_EIGHT(d));
@@ -8444,32 +8415,9 @@ static size_t zbufrandi_ray_cast_veiled(const zbufrandi_rays *r, const zbufrandi
     }
 #endif
     for (; i < count; i++) {
-        zbufrandi_ray_walk walk;
-        zbufrandi_ray_open(&walk, r, &ray[i], &hit[i]);
-        walk.veil = veil;
-        if (veil != NULL) walk.pixel = pixel[i];
-        if (r->structure_count == 0 || !(walk.t_min <= walk.best)) continue;
-        zbufrandi_ray_structure(&walk, 0, ray[i].o, ray[i].d);
-        hits += hit[i].t < (double)INFINITY;
+        hits += (size_t)zbufrandi_ray_cast(r, &ray[i], &hit[i], veil, veil == NULL ? 0 : pixel[i]);
     }
     return hits;
-}
-
-static ZBUFRANDI_UNUSED size_t zbufrandi_ray_cast_many(const zbufrandi_rays *r, const zbufrandi_ray *ray, size_t count,
-                                                       zbufrandi_ray_hit *hit) {
-    return zbufrandi_ray_cast_veiled(r, ray, count, hit, NULL, NULL);
-}
-
-/* Coordinates of the structure that was hit to those of structure 0. */
-static ZBUFRANDI_UNUSED void zbufrandi_ray_matrix(const zbufrandi_rays *r, const zbufrandi_ray_hit *hit,
-                                                  double out[3][4]) {
-    uint32_t structure = 0, k;
-    zbufrandi_m34_identity(out);
-    for (k = 0; k < hit->levels; k++) {
-        const zbufrandi_instance *in = &r->structure[structure].instance[hit->path[k]];
-        zbufrandi_m34_mul(ZBUFRANDI_M34(out), in->to_parent, out);
-        structure = in->structure;
-    }
 }
 
 /* ---------------------------------------------------------------------------
@@ -15531,8 +15479,8 @@ static zbufrand_result zbufrandi_draw_rounds(zbufrandi_picture *p, uint64_t refr
         if (r != ZBUFRAND_OK) return r;
         zbufrandi_lap(p, ZBUFRAND_STAGE_DRAW);
         if (!p->d->no_occlusion && f->front_count > 0 && p->since_refresh >= refresh_after) {
-            zbufrandi_pyramid_refresh_all(&f->env, &p->pyramid, &f->recon.canvas,
-                                          f->recon.exact != NULL ? &p->exact : NULL, f->level);
+            zbufrandi_pyramid_refresh(&f->env, &p->pyramid, &f->recon.canvas,
+                                      f->recon.exact != NULL ? &p->exact : NULL, f->level);
             p->cut.pyramid = &p->pyramid;
             p->since_refresh = 0;
             zbufrandi_lap(p, ZBUFRAND_STAGE_OCCLUSION);
@@ -15781,7 +15729,7 @@ static void zbufrandi_repair_task(void *ctx, uint32_t task) { /* rays through su
         ray[i].t_min = c->near_z;
         ray[i].t_max = zbufrandi_min(c->far_z, shown); /* what is behind does not matter */
     }
-    (void)zbufrandi_ray_cast_veiled(p->scene->rays, ray, n, f->hit + begin,
+    (void)zbufrandi_ray_cast_many(p->scene->rays, ray, n, f->hit + begin,
                                     p->cut.veil.opacity != NULL ? &p->cut.veil : NULL, at);
 }
 

@@ -10,6 +10,7 @@
                they show something that is not visible there */
 #ifndef BENCH_WORLDS_H_INCLUDED
 #define BENCH_WORLDS_H_INCLUDED
+#include "baseline/hit_matrix.h"
 
 static bench_options g_opt;
 static double g_busy_sum, g_busy_count; /* wall over CPU seconds of one-thread runs */
@@ -461,7 +462,7 @@ static void ray_color(const eye_rays *r, const zbufrandi_ray *ray, const zbufran
         zbufrandi_point_normal(s, c, t, bary, n);
         for (a = 0; a < 3; a++) q[a] = (double)n[a];
     }
-    zbufrandi_ray_matrix(r->scene->rays, hit, m);
+    baseline_hit_matrix(r->scene->rays, hit, m);
     for (a = 0; a < 3; a++) {
         const double turned = m[a][0] * q[0] + m[a][1] * q[1] + m[a][2] * q[2];
         dot += turned * g_light[a];
@@ -492,7 +493,7 @@ static void cast_run(void *ctx) {
         for (x = 0; x < j->width; x += 8) {
             for (k = 0, n = 0; k < 32; k++)
                 if (x + k % 8 < j->width) ray_at(&j->rays, (double)(x + k % 8) + 0.5, (double)(y + k / 8) + 0.5, &ray[n++]);
-            j->hits += zbufrandi_ray_cast_many(j->rays.scene->rays, ray, n, hit);
+            j->hits += zbufrandi_ray_cast_many(j->rays.scene->rays, ray, n, hit, NULL, NULL);
             j->cast += n;
             for (k = 0, n = 0; k < 32; k++)
                 if (x + k % 8 < j->width) j->depth[(size_t)(y + k / 8) * j->width + x + k % 8] = (float)hit[n++].t;
@@ -536,7 +537,7 @@ static void truth_pixel(truth *t, size_t at, uint32_t x, uint32_t y, zbufrandi_r
         ray_at(&t->rays, (double)x + ((double)sx + (double)bench_random(&rng)) / 16.0,
                (double)y + ((double)sy + (double)bench_random(&rng)) / 16.0, &ray[i]);
     }
-    (void)zbufrandi_ray_cast_many(t->rays.scene->rays, ray, SPP, hit);
+    (void)zbufrandi_ray_cast_many(t->rays.scene->rays, ray, SPP, hit, NULL, NULL);
     for (i = 0; i < SPP; i++) {
         float rgb[3];
         ray_color(&t->rays, &ray[i], &hit[i], t->srgb, rgb);
@@ -551,7 +552,7 @@ static void truth_pixel(truth *t, size_t at, uint32_t x, uint32_t y, zbufrandi_r
     for (a = 0; a < 3; a++) t->mean[3 * at + a] = (float)(sum[a] / (double)SPP);
     qsort(t->depth + SPP * at, SPP, sizeof(float), compare_float);
     ray_at(&t->rays, (double)x + 0.5, (double)y + 0.5, &ray[0]);
-    (void)zbufrandi_ray_cast(t->rays.scene->rays, &ray[0], &hit[0]);
+    (void)zbufrandi_ray_cast(t->rays.scene->rays, &ray[0], &hit[0], NULL, 0);
     ray_color(&t->rays, &ray[0], &hit[0], t->srgb, t->exact + 3 * at);
     t->exact_depth[at] = (float)hit[0].t;
 }

@@ -30,7 +30,12 @@ static void scene_open(scene *s, uint32_t w, uint32_t h, uint32_t d, int exact) 
     if (s->memory == NULL || s->shown == NULL) abort();
     zbufrandi_pyramid_begin(&s->p, s->memory, w, h, d);
 }
-static const zbufrandi_keys *scene_exact(const scene *s) { return s->exact.key != NULL ? &s->exact : NULL; }
+static void scene_refresh(scene *s, int level) {
+    zbufrand_env env;
+    memset(&env, 0, sizeof env);
+    env.thread_count = 1;
+    zbufrandi_pyramid_refresh(&env, &s->p, &s->keys, s->exact.key != NULL ? &s->exact : NULL, level);
+}
 
 static void scene_close(scene *s) {
     free(s->keys.key);
@@ -109,7 +114,7 @@ TEST(pyramid) {
                 scene_open(&s, sizes[n][0], sizes[n][1], ds[k], (int)(n + k + level / 2) & 1);
                 check_pyramid(&s); /* empty */
                 scene_random(&s, &g, k == 0 ? 0.99 : 3.0 / (ds[k] * ds[k]));
-                zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 0, 0, sizes[n][0], sizes[n][1], (int)level);
+                scene_refresh(&s, (int)level);
                 check_pyramid(&s);
                 scene_close(&s);
             }
@@ -124,7 +129,7 @@ TEST(wide_window) {
     uint32_t x, y, covered = 0;
     scene_open(&s, 100, 80, 40, 0);
     scene_random(&s, &g, 0.02);
-    zbufrandi_pyramid_refresh(&s.p, &s.keys, NULL, 0, 0, 100, 80, 0);
+    scene_refresh(&s, 0);
     scene_show(&s);
     for (y = 0; y < s.p.rows[0]; y++) {
         for (x = 0; x < s.p.columns[0]; x++) {
@@ -137,8 +142,8 @@ TEST(wide_window) {
     scene_close(&s);
 }
 
-/* Keys change within a rectangle; only that part is done again. */
-TEST(incremental) {
+/* Keys come nearer, and the pyramid follows. */
+TEST(later_keys) {
     test_rng g = test_rng_make(3);
     int n;
     for (n = 0; n < 60; n++) {
@@ -146,7 +151,7 @@ TEST(incremental) {
         uint32_t x0, y0, x1, y1, x, y, round;
         scene_open(&s, 90 + (uint32_t)n, 70, 1 + (uint32_t)n % 4, n & 1);
         scene_random(&s, &g, 0.9);
-        zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 0, 0, s.keys.width, s.keys.height, 0);
+        scene_refresh(&s, 0);
         for (round = 0; round < 3; round++) {
             x0 = test_rng_below(&g, s.keys.width); x1 = x0 + 1 + test_rng_below(&g, 30);
             y0 = test_rng_below(&g, s.keys.height); y1 = y0 + 1 + test_rng_below(&g, 30);
@@ -156,11 +161,9 @@ TEST(incremental) {
                     if (s.exact.key != NULL) zbufrandi_key_min(&s.exact.key[y * s.keys.width + x], zbufrandi_key(test_rng_range(&g, 0.01f, 50), 1));
                 }
             }
-            zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), x0, y0, x1, y1, n % 3 == 0 ? 1 : 0);
+            scene_refresh(&s, n % 3 == 0 ? 1 : 0);
             check_pyramid(&s);
         }
-        zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 5, 5, 5, 9, 0); /* nothing */
-        zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 5000, 5000, 6000, 6000, 0);
         scene_close(&s);
     }
 }
@@ -173,7 +176,7 @@ TEST(threads) {
     env.thread_count = 5;
     scene_open(&s, 700, 500, 2, 1);
     scene_random(&s, &g, 0.8);
-    zbufrandi_pyramid_refresh_all(&env, &s.p, &s.keys, &s.exact, 0);
+    zbufrandi_pyramid_refresh(&env, &s.p, &s.keys, &s.exact, 0);
     check_pyramid(&s);
     scene_close(&s);
 }
@@ -198,7 +201,7 @@ TEST(rectangles) {
         scene s;
         scene_open(&s, 300 + (uint32_t)n, 200 - (uint32_t)n, 1 + (uint32_t)n, n & 1);
         scene_random(&s, &g, n > 3 ? 0.2 : n % 3 == 0 ? 1.0 : 0.98);
-        zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 0, 0, s.keys.width, s.keys.height, 0);
+        scene_refresh(&s, 0);
         scene_show(&s);
         for (k = 0; k < (test_quick() ? 500 : 4000); k++) {
             float rect[4], z = test_rng_range(&g, n > 3 ? 20.0f : 50.0f, 130), size = powf(2.0f, test_rng_range(&g, -3, 9));
@@ -227,7 +230,7 @@ TEST(odd_rectangles) {
     int k;
     scene_open(&s, 64, 64, 1, 0);
     for (i = 0; i < 64 * 64; i++) s.keys.key[i] = zbufrandi_key(1.0f, i);
-    zbufrandi_pyramid_refresh(&s.p, &s.keys, NULL, 0, 0, 64, 64, 0);
+    scene_refresh(&s, 0);
     for (k = 0; k < 2; k++) {
         int (*hidden)(const zbufrandi_pyramid *, const float[4], float) = zbufrandi_pyramid_hidden;
 #if ZBUFRANDI_AVX2
@@ -279,7 +282,7 @@ static void hidden_boxes(uint32_t block) {
         if (i / 200 % 20 < 10 && i % 3 != 0) s.keys.key[i] = ZBUFRANDI_EMPTY;
         if (i / 200 % 20 < 10) s.exact.key[i] = zbufrandi_key(2.2f + (float)(i % 200) * 0.02f + test_rng_float(&g) * 0.1f, i);
     }
-    zbufrandi_pyramid_refresh(&s.p, &s.keys, scene_exact(&s), 0, 0, 200, 150, 0);
+    scene_refresh(&s, 0);
     scene_show(&s);
     memset(&camera, 0, sizeof camera);
     camera.focal = 170; camera.center_x = 100; camera.center_y = 75; camera.near_z = 0.1; camera.far_z = (double)INFINITY;
@@ -366,7 +369,7 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(pyramid);
     RUN(wide_window);
-    RUN(incremental);
+    RUN(later_keys);
     RUN(threads);
     RUN(rectangles);
     RUN(odd_rectangles);

@@ -2,6 +2,7 @@
 #include "test.h"
 #define ZBUFRAND_IMPLEMENTATION
 #include "zbufrand.h"
+#include "../bench/baseline/hit_matrix.h"
 #include "../bench/baseline/zbuffer.h"
 
 /* ---- scenes and what they mean, written down a second time ---- */
@@ -179,13 +180,18 @@ static truth brute(const world *w, const double o[3], const double d[3], double 
     return r;
 }
 
+/* The path counts as far as there are levels, and bytes between the members say nothing. */
+static int same_hit(const zbufrandi_ray_hit *a, const zbufrandi_ray_hit *b) {
+    return memcmp(a, b, offsetof(zbufrandi_ray_hit, path)) == 0 && memcmp(a->path, b->path, a->levels * sizeof *a->path) == 0;
+}
+
 /* Corners of a hit in world coordinates. */
 static void hit_point(const world *w, const zbufrandi_rays *r, const zbufrandi_ray_hit *h, double x[3]) {
     const zbufrandi_structure *s = &r->structure[h->structure];
     const zbufrandi_cluster *c = &s->cluster[h->cluster];
     double m[3][4], p[3] = {0, 0, 0};
     int k, a;
-    zbufrandi_ray_matrix(r, h, m);
+    baseline_hit_matrix(r, h, m);
     for (k = 0; k < 3; k++) {
         const float *v = s->position + 3 * ((size_t)c->first_vertex + s->triangle[3 * (size_t)h->triangle + (size_t)k]);
         double weight = k == 0 ? 1.0 - (double)h->u - (double)h->v : k == 1 ? (double)h->u : (double)h->v;
@@ -206,7 +212,7 @@ static int cast(const world *w, const zbufrandi_rays *r, const double o[3], cons
     for (a = 0; a < 3; a++) { ray.o[a] = o[a] - w->scene->structure[0].origin[a]; ray.d[a] = d[a]; }
     ray.t_min = t_min;
     ray.t_max = t_max;
-    return zbufrandi_ray_cast(r, &ray, h);
+    return zbufrandi_ray_cast(r, &ray, h, NULL, 0);
 }
 
 static void check_rays(const world *w, const zbufrandi_rays *r, test_rng *g, int n, double radius, double tolerance) {
@@ -560,7 +566,7 @@ typedef struct deep {
 
 static void *cast_deep(void *arg) {
     deep *k = (deep *)arg;
-    CHECK_EQ_U64(zbufrandi_ray_cast_many(&k->r, k->ray, 8, k->hit), 8);
+    CHECK_EQ_U64(zbufrandi_ray_cast_many(&k->r, k->ray, 8, k->hit, NULL, NULL), 8);
     return NULL;
 }
 
@@ -612,9 +618,9 @@ TEST(deep_packets) {
 #endif
     for (n = 0; n < 8; n++) {
         zbufrandi_ray_hit one;
-        CHECK(zbufrandi_ray_cast(&k.r, &k.ray[n], &one));
+        CHECK(zbufrandi_ray_cast(&k.r, &k.ray[n], &one, NULL, 0));
         CHECK_EQ_U64(one.levels, 64);
-        CHECK(memcmp(&one, &k.hit[n], sizeof one) == 0);
+        CHECK(same_hit(&one, &k.hit[n]));
     }
     rays_close(&w, &k.r);
     world_close(&w);
@@ -650,7 +656,7 @@ TEST(same_bits) {
             got1 = cast(&w, &r1, o, d, 0, (double)INFINITY, &h1);
             got3 = cast(&w, &r3, o, d, 0, (double)INFINITY, &h3);
             CHECK_EQ_U64(got1, got3);
-            CHECK(memcmp(&h1, &h3, sizeof h1) == 0);
+            CHECK(same_hit(&h1, &h3));
             if (got1) CHECK(h1.t >= 0 && h1.t < (double)INFINITY && h1.u >= 0 && h1.v >= 0 && h1.u + h1.v <= 1.00001f);
             hits += (uint64_t)got1;
         }
@@ -693,12 +699,10 @@ TEST(many_at_once) {
             }
             memset(one, 0, sizeof one);
             memset(many, 0, sizeof many);
-            for (j = 0; j < count; j++) want += (size_t)zbufrandi_ray_cast(&r, &ray[j], &one[j]);
-            got = zbufrandi_ray_cast_many(&r, ray, count, many);
+            for (j = 0; j < count; j++) want += (size_t)zbufrandi_ray_cast(&r, &ray[j], &one[j], NULL, 0);
+            got = zbufrandi_ray_cast_many(&r, ray, count, many, NULL, NULL);
             CHECK_EQ_U64(got, want);
-            for (j = 0; j < count; j++) { /* the path counts as far as there are levels */
-                wrong += memcmp(&one[j], &many[j], offsetof(zbufrandi_ray_hit, path) + one[j].levels * sizeof(uint32_t)) != 0;
-            }
+            for (j = 0; j < count; j++) wrong += !same_hit(&one[j], &many[j]);
             hits += want;
         }
         CHECK_EQ_U64(wrong, 0);
@@ -721,7 +725,7 @@ TEST(odd_rays) {
         double o[3] = {0, 0, -3}, d[3] = {0, 0, 1};
         world_open(&w);
         rays_open(&w, &r, level); /* nothing was built */
-        { zbufrandi_ray ray; memset(&ray, 0, sizeof ray); ray.d[2] = 1; ray.t_max = 9; CHECK(!zbufrandi_ray_cast(&r, &ray, &h)); }
+        { zbufrandi_ray ray; memset(&ray, 0, sizeof ray); ray.d[2] = 1; ray.t_max = 9; CHECK(!zbufrandi_ray_cast(&r, &ray, &h, NULL, 0)); }
         rays_close(&w, &r);
         CHECK_EQ_U64(zbufrand_scene_build(w.scene, NULL, NULL), ZBUFRAND_OK); /* an empty scene */
         rays_open(&w, &r, level);
@@ -911,7 +915,7 @@ TEST(zbuffer) {
                 zbufrandi_ray ray;
                 zbufrandi_ray_hit h;
                 ray_pixel(&r, &camera, i, j, &ray);
-                if (zbufrandi_ray_cast(&r, &ray, &h) != (key != ZBUFRANDI_EMPTY)) differ++;
+                if (zbufrandi_ray_cast(&r, &ray, &h, NULL, 0) != (key != ZBUFRANDI_EMPTY)) differ++;
                 else if (key != ZBUFRANDI_EMPTY) {
                     seen++;
                     if (fabs((double)zbufrandi_key_depth(key) / h.t - 1) > 1e-3) differ++;
