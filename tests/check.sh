@@ -372,7 +372,7 @@ link_static() { # NAME COMPILER FLAGS
 }
 golden_cxx() { # COMPILER STANDARD: the results of all three libraries, compiled as C++
     local p=$OUT/obj/golden.$BASHPID
-    cxx $1 -x c++ -std=$2 -O0 $STATIC -o "$p" tests/test_golden.c -lm -lpthread && "$p"
+    cxx $1 -x c++ -std=$2 -O1 $STATIC -o "$p" tests/test_golden.c -lm -lpthread && "$p"
     local rc=$?; rm -f "$p"; return $rc
 }
 group_link() {
@@ -385,7 +385,6 @@ group_link() {
         item "link $n two STATIC gcc" link_static $n gcc -std=c99
         item "link $n two STATIC clang++" link_static $n clang++ "-x c++ -std=c++17"
     done
-    item "link golden results g++ c++11" golden_cxx g++ c++11
     item "link golden results g++ c++20" golden_cxx g++ c++20
     item "link golden results clang++ c++17" golden_cxx clang++ c++17
 }
@@ -393,9 +392,11 @@ group_link() {
 # --- symbols: what an object exports and needs; mutable data; stack ----------------------------------------------
 
 symbols() { # NAME exported|static "ALLOWED" COMPILER FLAGS...
-    local n=$1 kind=$2 allowed=$3 cc=$4 bad=0 o=$OUT/obj/sym.$BASHPID s; shift 4
+    local n=$1 kind=$2 allowed=$3 cc=$4 bad=0 o=$OUT/obj/sym.$BASHPID s dumps=; shift 4
     have $cc || skip "no $cc" || return
-    cmd $cc $WARN_C -I. -fno-pic -fno-pie -fstack-usage "$@" -c -o "$o.o" "$OUT/tu/$n/impl.c" || return 1
+    [ "$cc $*" = "gcc -std=c99 -O2" ] && dumps=$(slp_dumps "$o")
+    cmd $cc $WARN_C -I. -fno-pic -fno-pie -fstack-usage $dumps "$@" -c -o "$o.o" "$OUT/tu/$n/impl.c" || return 1
+    [ -z "$dumps" ] || roundings_kept "$o" || bad=1
     s=$(nm "$o.o" | awk '$(NF-1) ~ /^[A-TV-Z]$/ { print $NF }' | if [ $kind = static ]; then cat; else grep -v "^$n\_"; fi)
     [ -z "$s" ] || { echo "exported:" $s; bad=1; }
     [ $kind = static ] || nm "$o.o" | grep -q " T $n\_" || { echo "exports nothing"; bad=1; }
@@ -410,17 +411,18 @@ symbols() { # NAME exported|static "ALLOWED" COMPILER FLAGS...
     rm -f "$o.o" "$o.su"; return $bad
 }
 # gcc 12 takes (double)(float)x for x where it turns two of them side by side into vectors: no place where that could be.
-roundings_kept() { # NAME
-    local d=$OUT/tu/$1/slp.$BASHPID opt rc=0
-    for opt in -O2 -O3; do
-        cmd gcc -std=c99 $opt -ffp-contract=off -I. -fdump-tree-slp1="$d.1" -fdump-tree-slp2="$d.2" -fdump-tree-vect="$d.3" -c -o /dev/null "$OUT/tu/$1/impl.c" || return 1
-        cat "$d".[123] | awk -v opt=$opt '/^;; Function/ { name = $3; delete short }
-            $2 == "=" && /= \(vector\([0-9]+\) float\) / { short[$1] = 1 }
-            $2 == "=" && /= \(vector\([0-9]+\) double\) / { from = $5; sub(/;$/, "", from); if (from in short) { print "lost in " name ": " $0 " " opt; bad = 1 } }
-            END { exit bad }' || rc=1
-        rm -f "$d".[123]
-    done
-    return $rc
+slp_dumps() { echo "-fdump-tree-slp1=$1.1 -fdump-tree-slp2=$1.2 -fdump-tree-vect=$1.3"; }
+roundings_kept() { # DUMPS: removes them
+    local rc=0
+    cat "$1".[123] | awk '/^;; Function/ { name = $3; delete short }
+        $2 == "=" && /= \(vector\([0-9]+\) float\) / { short[$1] = 1 }
+        $2 == "=" && /= \(vector\([0-9]+\) double\) / { from = $5; sub(/;$/, "", from); if (from in short) { print "a rounding is lost in " name ": " $0; bad = 1 } }
+        END { exit bad }' || rc=1
+    rm -f "$1".[123]; return $rc
+}
+roundings_kept_O3() { # NAME
+    local d=$OUT/tu/$1/slp.$BASHPID
+    cmd gcc -std=c99 -O3 -ffp-contract=off -I. $(slp_dumps "$d") -c -o /dev/null "$OUT/tu/$1/impl.c" && roundings_kept "$d"
 }
 group_symbols() {
     local n P libm all
@@ -433,7 +435,7 @@ group_symbols() {
         item "symbols $n STATIC" symbols $n static "$all" gcc -std=c99 -O0 -D${P}_STATIC
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
-        item "symbols $n roundings to float are kept" roundings_kept $n
+        item "symbols $n roundings to float are kept" roundings_kept_O3 $n
         item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
 }
@@ -920,8 +922,8 @@ group_wasm() {
 
 fuzz_standalone() { # NAME -seconds=N|-iterations=N
     local p=$OUT/fuzz/$1.standalone
-    # places of variables take half of the time of compiling
-    cmd gcc $SAN_FLAGS -g1 -fno-var-tracking $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
+    # places of variables take half of the time of compiling, and optimizing half of the rest
+    cmd gcc $SAN_FLAGS -Og -g1 -fno-var-tracking $STATIC -fsanitize=address,undefined -fno-sanitize-recover=all -I. -o "$p" tests/fuzz/$1.c tests/fuzz/standalone.c -lm -lpthread &&
     cmd timeout $((600 + FUZZ_EACH + SOAK_SECONDS)) "$p" $2 -crash="$OUT/fuzz/$1.crash" $( [ -d tests/fuzz/corpus/${1#fuzz_} ] && echo tests/fuzz/corpus/${1#fuzz_} )
 }
 fuzz_libfuzzer() { # NAME SECONDS
