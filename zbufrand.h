@@ -18093,7 +18093,7 @@ typedef struct zbufrandi_live_structure {
     uint32_t dirty_count;
     uint32_t free_node, free_nodes, free_instance, free_instances; /* first, and how many */
     uint32_t promised;            /* nodes that are kept for what is yet to be put in by this update */
-    uint32_t spare;               /* and those for packing */
+    size_t spare;                 /* and those for packing */
     uint32_t dead_clusters, dead_triangles, dead_vertices;
     uint32_t used;                /* 0: a slot for the next structure */
     uint32_t node;                /* of the graph */
@@ -18699,12 +18699,16 @@ static void zbufrandi_edit_balance(zbufrand_scene *scene, uint32_t index, uint32
 
 /* Nodes that packing may need while so many items are put in. It takes seven to make a tree one level deeper; a subtree
    that is packed may have a node more for each of its up to ten levels, which all but the deepest trees make up for by
-   what is not used of the one node that there is for each item. */
-static uint32_t zbufrandi_edit_spare(const zbufrandi_structure *s, const zbufrandi_live_structure *l, uint32_t items) {
+   what is not used of the one node that there is for each item. No tree has more nodes than leaves, and one. */
+static size_t zbufrandi_edit_spare(const zbufrandi_structure *s, const zbufrandi_live_structure *l, uint32_t items) {
     const uint32_t height = s->node_count != 0 ? l->health[0].height : 0;
+    size_t leaves, most;
     if (height + items / 7 + 2 < ZBUFRANDI_DEEP) return 0;
     if (height + 2 <= ZBUFRANDI_DEEP) return ZBUFRANDI_DEEP + 32;
-    return height + 32 + 10 * items;
+    leaves = (size_t)l->health[0].leaves + l->free_nodes;
+    leaves = leaves > s->node_count ? leaves - s->node_count : 0;
+    most = 10 * (size_t)items;
+    return height + 32 + (most < leaves ? most : leaves);
 }
 
 /* Put an instance in, at the lane where boxes grow least. There is room for a node. */
@@ -18769,8 +18773,9 @@ static void zbufrandi_edit_put(zbufrand_scene *scene, uint32_t index, uint32_t c
     }
 }
 
-/* An instance whose structure or place changed: into the tree, out of it, or a new box. */
-static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint32_t instance) {
+/* An instance whose structure or place changed: into the tree, out of it, or a new box. own: one of the promised nodes
+   is for it. What is taken out keeps it, as it may come back when what it shows has content again. */
+static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint32_t instance, int own) {
     zbufrandi_structure *s = &scene->structure[index];
     zbufrandi_live_structure *l = &scene->live->s[index];
     const zbufrandi_instance *it = &s->instance[instance];
@@ -18786,6 +18791,7 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
     lane.cosine = -1.0f;
     lane.area = 1.0f;
     (void)zbufrandi_instance_box(it, to, lane.lo, lane.hi);
+    if ((own || at == ZBUFRANDI_NIL) && l->promised > 0) l->promised--;
     if (at != ZBUFRANDI_NIL) {
         zbufrandi_node8 *n = &s->node[at >> 3];
         for (a = 0; a < 3; a++) apart |= lane.lo[a] > n->hi[a][at & 7u] || lane.hi[a] < n->lo[a][at & 7u];
@@ -18803,8 +18809,6 @@ static void zbufrandi_edit_instance(zbufrand_scene *scene, uint32_t index, uint3
             return;
         }
         zbufrandi_edit_take(scene, index, item);
-    } else if (l->promised > 0) {
-        l->promised--;
     }
     zbufrandi_edit_put(scene, index, child, &lane);
 }
@@ -19042,14 +19046,12 @@ static void zbufrandi_edit_finish(zbufrand_scene *scene) {
             live->s[index].touched = 2; /* done */
             for (use = live->s[index].first; use.structure != ZBUFRANDI_NIL;
                  use = live->s[use.structure].next[use.instance]) {
-                zbufrandi_edit_instance(scene, use.structure, use.instance);
+                zbufrandi_edit_instance(scene, use.structure, use.instance, 0);
             }
         }
     }
-    for (i = 0; i < live->touched_count; i++) {
-        zbufrandi_live_structure *l = &live->s[live->touched[i]];
-        l->touched = l->promised = l->spare = 0;
-    }
+    for (i = 0; i < live->touched_count; i++) live->s[live->touched[i]].touched = 0;
+    for (i = 0; i < scene->structure_count; i++) live->s[i].promised = live->s[i].spare = 0;
     live->touched_count = 0;
 }
 
@@ -19413,7 +19415,7 @@ static zbufrand_result zbufrandi_edit_promote(zbufrandi_edit *e, uint32_t node) 
     g[node].item = zbufrandi_edit_instance_new(scene, home, &it, 1);
     g[node].item_count = 1;
     zbufrandi_edit_raise(scene, home, scene->structure[p].depth + 1);
-    zbufrandi_edit_instance(scene, home, g[node].item);
+    zbufrandi_edit_instance(scene, home, g[node].item, 0);
     zbufrandi_edit_touch(scene, home);
     return ZBUFRAND_OK;
 }
@@ -19594,13 +19596,9 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
     size_t i, k;
     int more = 1, ok = instances != NULL, deep = 0;
     if (!ok) return zbufrandi_edit_no_memory(scene);
-    for (i = 0; i < count; i++) live[i].promised = live[i].spare = 0;
     for (i = 0; i < e->change_count; i++) {
-        const uint32_t home = e->change[i].home, item = e->change[i].item;
-        if (item == ZBUFRANDI_NIL) instances[home]++;
-        if (item == ZBUFRANDI_NIL || live[home].at[scene->structure[home].cluster_count + item] == ZBUFRANDI_NIL)
-            live[home].promised++;
-        nodes[home]++;
+        if (e->change[i].item == ZBUFRANDI_NIL) instances[e->change[i].home]++;
+        nodes[e->change[i].home]++;
     }
     for (k = 0; more && k <= ZBUFRANDI_MAX_LEVELS; k++) { /* what is empty passes its need on to what it is in */
         more = 0;
@@ -19610,7 +19608,6 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
             for (use = scene->live->s[i].first; use.structure != ZBUFRANDI_NIL;
                  use = scene->live->s[use.structure].next[use.instance]) {
                 nodes[use.structure]++;
-                live[use.structure].promised++;
                 more = 1;
             }
         }
@@ -19638,6 +19635,7 @@ static zbufrand_result zbufrandi_edit_room(zbufrandi_edit *e) {
     for (i = 0; ok && !deep && i < count; i++) {
         nodes[i] &= 0x7fffffffu;
         if (nodes[i] == 0) continue;
+        live[i].promised = nodes[i];
         live[i].spare = zbufrandi_edit_spare(&scene->structure[i], &live[i], nodes[i]);
         ok = zbufrandi_edit_reserve(scene, (uint32_t)i, instances[i], (size_t)nodes[i] + live[i].spare);
     }
@@ -19692,7 +19690,7 @@ static void zbufrandi_edit_apply(zbufrandi_edit *e) {
             scene->structure[c->home].instance[c->item] = c->it;
         }
         zbufrandi_edit_raise(scene, c->home, scene->structure[c->it.structure].depth + 1);
-        zbufrandi_edit_instance(scene, c->home, c->item);
+        zbufrandi_edit_instance(scene, c->home, c->item, 1);
         zbufrandi_edit_touch(scene, c->home);
     }
 }

@@ -1245,12 +1245,74 @@ TEST(rows_and_heaps_in_one_update) {
             t = place_of(order, i, n);
             CHECK_EQ_U64(zbufrand_move(s, node[i], &t), ZBUFRAND_OK);
         }
-        rounds = 0;
         CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
-        check_balance(s, 100 + 2 * n + n / 4, rounds % 100, "on their own", order); /* each structure is built, too */
+        check_balance(s, 100 + 2 * n + n / 4, 0, "on their own", order); /* work in many rounds: each structure is built, too */
         zbufrand_scene_destroy(s);
     }
     free(node);
+}
+
+/* Room for nodes is kept for what leaves the tree and comes back in the same update - content that goes and other content that
+   comes, references hidden and shown - while much else moves because of what it refers to. */
+TEST(content_goes_and_comes) {
+    enum { MOVED = 20000, BACK = 100 };
+    static zbufrand_node back[BACK];
+    static zbufrand_transform place[BACK];
+    int way;
+    for (way = 0; way < 2; way++) {
+        test_rng r = test_rng_make(40 + (uint64_t)way);
+        zbufrand_scene *s = open_scene(1, NULL);
+        const zbufrandi_live_structure *top;
+        zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN), inner = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN),
+                      much = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN), some = add_list(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN),
+                      content = add_at(s, much, 0, 0, 0, target), many = ZBUFRAND_ROOT, old = ZBUFRAND_ROOT;
+        uint32_t i;
+        (void)add_at(s, inner, 0, 0, 0, target);
+        if (way == 0) old = add_at(s, some, 0, 0, 0, inner);
+        for (i = 0; i < MOVED; i++) { /* turned, so that they go apart */
+            const double a = 6.2831853 * test_rng_double(&r), c = cos(a), n = sin(a);
+            zbufrand_transform t = {{{c, -n, 0, 1000 * test_rng_double(&r)}, {n, c, 0, 1000 * test_rng_double(&r)}, {0, 0, 1, 0}}};
+            CHECK_EQ_U64(zbufrand_add_reference(s, ZBUFRAND_ROOT, &t, much, NULL), ZBUFRAND_OK);
+        }
+        for (i = 0; i < BACK; i++) {
+            const zbufrand_transform t = {{{1, 0, 0, 100 * test_rng_double(&r)}, {0, 1, 0, 100 * test_rng_double(&r)}, {0, 0, 1, -50}}};
+            place[i] = t;
+            back[i] = add_at(s, ZBUFRAND_ROOT, 5e4 + test_rng_double(&r), 5e4 + test_rng_double(&r), 0, some);
+        }
+        if (way == 1) CHECK_EQ_U64(zbufrand_add_references(s, ZBUFRAND_ROOT, place, BACK, target, &many), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+        move_to(s, content, 20000, 0, 0);
+        for (i = 0; i < BACK && way == 0; i++) move_to(s, back[i], 6e4 + test_rng_double(&r), 5e4 + test_rng_double(&r), 0);
+        for (i = 0; i < BACK && way == 1; i++) {
+            CHECK_EQ_U64(zbufrand_set_reference(s, many, i, NULL), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_set_reference(s, many, i, &place[i]), ZBUFRAND_OK);
+        }
+        if (way == 0) CHECK_EQ_U64(zbufrand_remove(s, old), ZBUFRAND_OK);
+        (void)add_at(s, some, 0, 0, 1, inner);
+        CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+        top = &s->live->s[0];
+        CHECK(s->structure[0].node_count <= top->node_capacity && deepest(s) <= ZBUFRANDI_DEEP);
+        for (i = 0; i < s->structure_count; i++) CHECK(s->live->s[i].promised == 0 && s->live->s[i].spare == 0);
+        check_scene(s);
+        zbufrand_scene_destroy(s);
+    }
+}
+
+/* A tree that is almost as deep as it may be needs room for packing, but no more than it has leaves. */
+TEST(deep_trees_take_little_room) {
+    enum { ROW = 308 };
+    static zbufrand_node node[ROW];
+    zbufrand_scene *s = open_scene(1, NULL);
+    zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
+    uint32_t i;
+    CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
+    for (i = 0; i < ROW; i++) node[i] = add_at(s, ZBUFRAND_ROOT, 3.0 * i, 0, 0, target);
+    CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+    CHECK(deepest(s) + 2 > ZBUFRANDI_DEEP);
+    for (i = 0; i < ROW; i++) move_to(s, node[i], 3.0 * i, 0.5, 0);
+    CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
+    CHECK_MSG(s->live->s[0].node_capacity < 4 * ROW, "%lu nodes", (unsigned long)s->live->s[0].node_capacity);
+    zbufrand_scene_destroy(s);
 }
 
 /* The same, one by one and in small updates, with what was there before going away, and the tree that results is as good as one
@@ -1374,6 +1436,8 @@ int main(int argc, char **argv) {
     RUN(memory_runs_out);
     RUN(trees_stay_good);
     RUN(rows_and_heaps_in_one_update);
+    RUN(content_goes_and_comes);
+    RUN(deep_trees_take_little_room);
     RUN(rows_and_heaps_one_by_one);
     RUN(rows_and_heaps_without_memory);
     RUN(deepest_place);
