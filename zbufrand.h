@@ -19051,7 +19051,10 @@ static void zbufrandi_edit_finish(zbufrand_scene *scene) {
         }
     }
     for (i = 0; i < live->touched_count; i++) live->s[live->touched[i]].touched = 0;
-    for (i = 0; i < scene->structure_count; i++) live->s[i].promised = live->s[i].spare = 0;
+    for (i = 0; i < scene->structure_count; i++) {
+        live->s[i].promised = 0;
+        live->s[i].spare = 0;
+    }
     live->touched_count = 0;
 }
 

@@ -1300,18 +1300,18 @@ TEST(content_goes_and_comes) {
 
 /* A tree that is almost as deep as it may be needs room for packing, but no more than it has leaves. */
 TEST(deep_trees_take_little_room) {
-    enum { ROW = 308 };
-    static zbufrand_node node[ROW];
+    enum { LONG_ROW = 308 };
+    static zbufrand_node node[LONG_ROW];
     zbufrand_scene *s = open_scene(1, NULL);
     zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
     uint32_t i;
     CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
-    for (i = 0; i < ROW; i++) node[i] = add_at(s, ZBUFRAND_ROOT, 3.0 * i, 0, 0, target);
+    for (i = 0; i < LONG_ROW; i++) node[i] = add_at(s, ZBUFRAND_ROOT, 3.0 * i, 0, 0, target);
     CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
     CHECK(deepest(s) + 2 > ZBUFRANDI_DEEP);
-    for (i = 0; i < ROW; i++) move_to(s, node[i], 3.0 * i, 0.5, 0);
+    for (i = 0; i < LONG_ROW; i++) move_to(s, node[i], 3.0 * i, 0.5, 0);
     CHECK_EQ_U64(zbufrand_scene_update(s, NULL), ZBUFRAND_OK);
-    CHECK_MSG(s->live->s[0].node_capacity < 4 * ROW, "%lu nodes", (unsigned long)s->live->s[0].node_capacity);
+    CHECK_MSG(s->live->s[0].node_capacity < 4 * LONG_ROW, "%lu nodes", (unsigned long)s->live->s[0].node_capacity);
     zbufrand_scene_destroy(s);
 }
 
