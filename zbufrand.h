@@ -522,8 +522,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_remove(zbufrand_scene *scene, zbufrand_nod
    Cost, on average: moving, removing or adding a reference: O(depth of the trees above), some 10 us, also where
    thousands come in a row or lie at one place; a structure used by many instances costs as many of them. New triangles:
    as in a build. The first update after a build looks at all nodes and instances once and holds 20 to 30 bytes for each
-   of them from then on. Trees are made anew in parts where they got worse. The memory of melted triangles that are
-   removed is given back by the next build.
+   of them from then on, and room for a node, 2 KB, for each of the most references that one update changes. Trees are
+   made anew in parts where they got worse. The memory of melted triangles that are removed is given back by the next
+   build.
    The same structures for any number of threads. */
 ZBUFRAND_DEF zbufrand_result zbufrand_scene_update(zbufrand_scene *scene, zbufrand_scene_info *info);
 
