@@ -633,8 +633,8 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
    fill                 none
    reach                pictures of scenes: 2 block; others: fills go as far as they can. r: not further than about r
                         pixels from a sample
-   gauss_radius         2, or block if that is more: c of exp(-(1.5 r / c)^2), a standard deviation of 0.471 c; pixels,
-                        at most 256
+   gauss_radius         2 (3 in squares of 2), or block if that is more: c of exp(-(1.5 r / c)^2), a standard deviation
+                        of 0.471 c; pixels, at most 256
    gauss_support        1: cut off at |dx|, |dy| >= support * c; the Gaussian is 0.105 at 1 and 0.006 at 1.5
    tolerance            cells and squares keep only the nearest. t: also samples up to (1 + t) times as deep
    tolerance_projected  the same on f z / (f + z), f = focal, as in the thesis: up to this value deeper
@@ -1103,9 +1103,10 @@ typedef struct zbufrand_costs {
    camera          (eye equals at) one that frames the scene; a cube of edge 2 around the origin without a scene
    tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
                    or more than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of
-                   d x d: up to 3 d / 2 pixels away), where these are covered as a whole. Holds for what is sampled;
-                   what is rastered misses nothing. With `noise` and without a tolerance frames have half as many
-                   samples, and what is reported is about all of them: that somewhere none is right
+                   d x d: up to 3 d / 2 pixels away; 5 d / 2 where regions grow over cells or squares), where these are
+                   covered as a whole. Where a fill mixes samples a pixel is as deep as the nearest of them. Holds for
+                   what is sampled; what is rastered misses nothing. With `noise` and without a tolerance frames have
+                   half as many samples, and what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
@@ -11717,7 +11718,9 @@ typedef struct zbufrandi_suspects {
     uint8_t *mask;          /* kind, or 0 */
     uint32_t width, height, hole_count, wrong_count;
     uint32_t reach;         /* neighbours are looked at in this distance, in pixels */
-    int sure;               /* 1: as wrong counts all that has enough nearer neighbours, whatever their depths */
+    /* 1: as wrong counts all that has enough nearer neighbours, whatever their depths; at the borders of the picture
+       fewer are enough: 3 of 5, or one where there are at most 3 */
+    int sure;
     float keep;             /* 1 - tolerance */
     int level;
     const uint8_t *area;    /* of 16 x 16 pixels: 1: look there; NULL: everywhere. Then reach is at most 8 */
@@ -11732,23 +11735,33 @@ ZBUFRANDI_INLINE float zbufrandi_depth_at(const zbufrandi_suspects *c, uint32_t 
     return c->depth[(size_t)j * c->width + (size_t)i];
 }
 
+/* How many neighbours a pixel needs of which inside the picture `inner` of eight are needed. */
+static uint32_t zbufrandi_suspect_least(const zbufrandi_suspects *c, uint32_t x, uint32_t y, uint32_t inner) {
+    const uint32_t r = c->reach;
+    const int both_x = x >= r && (uint64_t)x + r < c->width, both_y = y >= r && (uint64_t)y + r < c->height;
+    const int one_x = x >= r || (uint64_t)x + r < c->width, one_y = y >= r || (uint64_t)y + r < c->height;
+    if (!c->sure || (both_x && both_y)) return inner;
+    return (both_x && one_y) || (one_x && both_y) ? 3 : 1;
+}
+
 static uint8_t zbufrandi_suspect_pixel(const zbufrandi_suspects *c, uint32_t x, uint32_t y) {
     float z = c->depth[(size_t)y * c->width + x], nearer[8]; /* deepest first */
-    const int reach = (int)c->reach;
+    const int reach = (int)c->reach, there = z < (float)INFINITY;
+    const uint32_t least = zbufrandi_suspect_least(c, x, y, there ? c->wrong_count : c->hole_count);
     uint32_t k, i, n = 0, sides = 0;
-    if (!(z < (float)INFINITY)) {
+    if (!there) {
         for (k = 0; k < 8; k++) {
             n += zbufrandi_depth_at(c, x, y, reach * zbufrandi_around[k][0], reach * zbufrandi_around[k][1]) <
                 (float)INFINITY;
         }
-        return (uint8_t)(n >= c->hole_count ? (int)ZBUFRAND_SUSPECT_HOLE : 0);
+        return (uint8_t)(n >= least ? (int)ZBUFRAND_SUSPECT_HOLE : 0);
     }
     for (k = 0; k < 8; k++) {
         int dx = reach * zbufrandi_around[k][0], dy = reach * zbufrandi_around[k][1];
         float z1 = zbufrandi_depth_at(c, x, y, dx, dy), z2;
         if (!(z1 < z * c->keep)) continue;
         if (c->sure) {
-            if (++n >= c->wrong_count) return (uint8_t)ZBUFRAND_SUSPECT_WRONG;
+            if (++n >= least) return (uint8_t)ZBUFRAND_SUSPECT_WRONG;
             continue;
         }
         z2 = zbufrandi_depth_at(c, x, y, 2 * dx, 2 * dy);
@@ -11758,8 +11771,8 @@ static uint8_t zbufrandi_suspect_pixel(const zbufrandi_suspects *c, uint32_t x, 
         nearer[i] = z1;
         sides |= 1u << k;
     }
-    if (c->sure || n < c->wrong_count || (sides & sides >> 4) == 0) return 0;
-    return (uint8_t)(z - nearer[0] >= nearer[0] - nearer[c->wrong_count - 1] ? (int)ZBUFRAND_SUSPECT_WRONG : 0);
+    if (c->sure || n < least || (sides & sides >> 4) == 0) return 0;
+    return (uint8_t)(z - nearer[0] >= nearer[0] - nearer[least - 1] ? (int)ZBUFRAND_SUSPECT_WRONG : 0);
 }
 
 #if ZBUFRANDI_AVX2
@@ -12059,7 +12072,10 @@ static zbufrand_result zbufrandi_reconstruct_check(const zbufrand_env *env, zbuf
     if ((uint32_t)o->occlusion > ZBUFRAND_OCCLUSION_SQUARES_ALL || (uint32_t)o->fill > ZBUFRAND_FILL_REGIONS) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "unknown occlusion or fill");
     }
-    if (o->gauss_radius == 0.0f) o->gauss_radius = o->block <= 2 ? 2.0f : o->block < 256 ? (float)o->block : 256.0f;
+    if (o->gauss_radius == 0.0f) {
+        o->gauss_radius = o->block < 2 ? 2.0f : o->block < 256 ? (float)o->block : 256.0f;
+        if (o->block == 2 && o->occlusion > ZBUFRAND_OCCLUSION_CELLS) o->gauss_radius = 3.0f; /* squares are 3 x 3 */
+    }
     if (o->gauss_support == 0.0f) o->gauss_support = 1.0f;
     if (o->focal == 0.0f) o->focal = 1.0f;
     if (!(o->gauss_radius > 0.0f && o->gauss_radius <= 256.0f && o->gauss_support > 0.0f && o->gauss_support <= 1.5f)) {
@@ -12092,9 +12108,8 @@ ZBUFRANDI_UNUSED static void zbufrandi_recon_close(zbufrandi_mem *mem, zbufrandi
     memset(r, 0, sizeof *r);
 }
 
-static int zbufrandi_recon_regions(const zbufrandi_recon *r) { /* does a pixel show the nearest sample? */
-    return r->o.fill == ZBUFRAND_FILL_VORONOI_L1 || r->o.fill == ZBUFRAND_FILL_VORONOI ||
-           r->o.fill == ZBUFRAND_FILL_REGIONS;
+static int zbufrandi_recon_regions(const zbufrand_reconstruct *o) { /* does a pixel show the nearest sample? */
+    return o->fill == ZBUFRAND_FILL_VORONOI_L1 || o->fill == ZBUFRAND_FILL_VORONOI || o->fill == ZBUFRAND_FILL_REGIONS;
 }
 
 /* Of cells and squares a few pixels keep samples, and a fill mixes those around the others: from how far? 0: not so. */
@@ -12126,7 +12141,7 @@ ZBUFRANDI_UNUSED static zbufrand_result zbufrandi_recon_open(zbufrandi_mem *mem,
     if (result != ZBUFRAND_OK) return result;
     d = r->o.block;
     blocks = r->o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS;
-    voronoi = zbufrandi_recon_regions(r);
+    voronoi = zbufrandi_recon_regions(&r->o);
     mixes = r->o.fill == ZBUFRAND_FILL_GAUSS || r->o.fill == ZBUFRAND_FILL_PULL_PUSH ||
             r->o.fill == ZBUFRAND_FILL_REGIONS;
     points = !blocks || d == 1; /* fills begin with points in the canvas, not with a picture of blocks */
@@ -12326,7 +12341,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
 /* keys -> r->result. Slopes and backs have to be filled in before, where there is room for them. */
 ZBUFRANDI_UNUSED static void zbufrandi_recon_keys(zbufrandi_recon *r) {
     zbufrandi_recon_occlusion(r);
-    if (zbufrandi_recon_regions(r)) {
+    if (zbufrandi_recon_regions(&r->o)) {
         zbufrandi_voronoi v;
         memset(&v, 0, sizeof v);
         v.keys = r->result;
@@ -12424,7 +12439,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_project(const zbufrand_view *view, const z
         memset(s, 0, sizeof *s);
         memcpy(p, (const uint8_t *)points->positions + (first + i) * stride, sizeof p);
         zbufrandi_rotate(view, p, 1.0, q);
-        if (!(q[2] >= view->near_z && (view->far_z == 0.0 || q[2] <= view->far_z) && q[2] < 3e38)) continue;
+        if (!(q[2] >= view->near_z && (view->far_z == 0.0 || q[2] <= view->far_z))) continue;
+        if (!(q[2] < 3e38) || !zbufrandi_sample_depth((float)q[2])) continue;
         x = view->center_x + view->focal * q[0] / q[2];
         y = view->center_y - view->focal * q[1] / q[2];
         if (!(zbufrandi_abs(x) < 3e38 && zbufrandi_abs(y) < 3e38)) continue;
@@ -15545,14 +15561,27 @@ static zbufrand_result zbufrandi_draw_scene(zbufrandi_picture *p) {
    far enough behind for the spread of depths around it, and behind planes through them, up to three of four pictures
    were incomplete. At least 5 because with 6 and 7 the density has to be a quarter and 60 % higher.
 
+   At the borders of the picture 5 neighbours are in it; 3 of them have to be nearer, and a pixel stays if 3 are not, of
+   ten threes one. At its corners, and in pictures less than two blocks wide, one of those that there are is enough.
+   With 5 everywhere four of five pictures were wrong at the border.
+
+   Where regions of samples grow over cells or squares a wrong one is often what several pixels at a distance of d show:
+   there neighbours are those at a distance of 2 d. With d half of the pictures were incomplete.
+
    Most suspects are right, and a ray that gets as deep as they are speaks for more than its own pixel: what it sees is
    visible around all the pixels beside it, so that none of them that is no deeper than that is incomplete. So the
    pixel with most suspects around it gets a ray first, and only those it cannot speak for get their own. */
 
-enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_HOLE = 4, ZBUFRANDI_REPAIR_TILE = 2,
+enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_HOLE = 4,
        ZBUFRANDI_REPAIR_AREA = 16,
        /* in the mask of suspects: their kind, another one's ray may speak for it, a ray of its own that may do so */
        ZBUFRANDI_REPAIR_KIND = 63, ZBUFRANDI_REPAIR_SPOKEN = 64, ZBUFRANDI_REPAIR_SPEAKS = 128 };
+
+/* How far away a pixel's neighbours are. o: of the caller, too */
+static uint32_t zbufrandi_repair_distance(const zbufrand_reconstruct *o) {
+    const uint32_t block = o->block != 0 ? o->block : 1;
+    return block > 1 && o->occlusion != ZBUFRAND_OCCLUSION_BLOCKS && zbufrandi_recon_regions(o) ? 2 * block : block;
+}
 
 #if ZBUFRANDI_AVX2
 ZBUFRANDI_TARGET_AVX2 static uint32_t zbufrandi_key_depths_avx2(const uint64_t *keys, uint32_t n, uint8_t *out) {
@@ -15609,32 +15638,79 @@ static void zbufrandi_depth_task(void *ctx, uint32_t y) { /* depths of the pictu
                                                       (uint8_t *)(p->f->depth + (size_t)y * r->width)));
 }
 
-/* Where fills mix the samples around a pixel it is as near as the nearest of them, and empty if there is none. */
-static void zbufrandi_between_rows(void *ctx, uint32_t y) {
-    const zbufrandi_picture *p = (const zbufrandi_picture *)ctx;
-    const uint32_t width = p->f->recon.width, reach = zbufrandi_recon_between(&p->f->recon);
-    const float *in = p->f->depth + (size_t)y * width;
-    float *out = p->f->depth + (size_t)width * p->f->recon.height + (size_t)y * width;
-    uint32_t x, k;
-    memcpy(out, in, width * sizeof *out);
-    for (k = 1; k <= reach && k < width; k++) {
-        for (x = 0; x < width - k; x++) out[x] = in[x + k] < out[x] ? in[x + k] : out[x];
-        for (x = k; x < width; x++) out[x] = in[x - k] < out[x] ? in[x - k] : out[x];
+/* Where fills mix the samples around a pixel it is as near as the nearest of them, and empty if there is none; only
+   what keeps its colour keeps its depth. A pass goes from the least within `have` pixels along one axis to the least
+   within have + step, step at most have or 1: as many passes as the reach has binary digits. */
+
+typedef struct zbufrandi_between {
+    zbufrandi_picture *picture;
+    const float *in;
+    float *out;
+    uint32_t step;
+    int columns;
+} zbufrandi_between;
+
+static void zbufrandi_between_pass(void *ctx, uint32_t y) {
+    const zbufrandi_between *b = (const zbufrandi_between *)ctx;
+    const uint32_t width = b->picture->f->recon.width, height = b->picture->f->recon.height, step = b->step;
+    const float *row = b->in + (size_t)y * width;
+    float *out = b->out + (size_t)y * width;
+    uint32_t x;
+    if (b->columns) {
+        const float *up = b->in + (size_t)(y > step ? y - step : 0) * width;
+        const float *down = b->in + (size_t)(height - 1 - y > step ? y + step : height - 1) * width;
+        for (x = 0; x < width; x++) {
+            const float least = up[x] < down[x] ? up[x] : down[x];
+            out[x] = row[x] < least ? row[x] : least;
+        }
+        return;
+    }
+    for (x = 0; x < width; x++) {
+        const float left = row[x > step ? x - step : 0], right = row[width - 1 - x > step ? x + step : width - 1];
+        const float least = left < right ? left : right;
+        out[x] = row[x] < least ? row[x] : least;
     }
 }
 
-static void zbufrandi_between_columns(void *ctx, uint32_t y) {
-    const zbufrandi_picture *p = (const zbufrandi_picture *)ctx;
-    const zbufrandi_recon *r = &p->f->recon;
-    const uint32_t reach = zbufrandi_recon_between(r);
-    const float *in = p->f->depth + (size_t)r->width * r->height;
-    float *out = p->f->depth + (size_t)y * r->width;
-    uint32_t x, v = y < reach ? 0 : y - reach;
-    memcpy(out, in + (size_t)y * r->width, r->width * sizeof *out);
-    for (; v < r->height && v <= y + reach; v++) {
-        const float *row = in + (size_t)v * r->width;
-        for (x = 0; x < r->width; x++) out[x] = row[x] < out[x] ? row[x] : out[x];
+static void zbufrandi_between_end(void *ctx, uint32_t y) {
+    const zbufrandi_between *b = (const zbufrandi_between *)ctx;
+    const zbufrandi_recon *r = &b->picture->f->recon;
+    const uint64_t *keys = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
+    const int keeps = r->o.fill == ZBUFRAND_FILL_PULL_PUSH;
+    const float *in = b->in + (size_t)y * r->width;
+    float *out = b->picture->f->depth + (size_t)y * r->width;
+    uint32_t x, covered = 0;
+    for (x = 0; x < r->width; x++) {
+        const uint32_t bits = (uint32_t)(keys[x] >> 32);
+        float z = in[x];
+        if (keeps && bits < 0x7f800000u) memcpy(&z, &bits, sizeof z);
+        out[x] = z;
+        covered += z < (float)INFINITY;
     }
+    zbufrandi_tally_add(b->picture->seen, covered);
+}
+
+static void zbufrandi_between_depths(zbufrandi_picture *p) { /* f->depth has room for another plane */
+    zbufrand_frame *f = p->f;
+    const uint32_t reach = zbufrandi_recon_between(&f->recon);
+    float *plane[2];
+    zbufrandi_between b;
+    uint32_t have, from = 0;
+    plane[0] = f->depth;
+    plane[1] = f->depth + (size_t)f->recon.width * f->recon.height;
+    memset(&b, 0, sizeof b);
+    b.picture = p;
+    for (b.columns = 0; b.columns < 2; b.columns++) {
+        for (have = 0; have < reach; have += b.step, from ^= 1) {
+            b.step = have == 0 ? 1 : reach - have < have ? reach - have : have;
+            b.in = plane[from];
+            b.out = plane[from ^ 1];
+            zbufrandi_parallel_for(&f->env, zbufrandi_between_pass, &b, f->recon.height);
+        }
+    }
+    p->seen[0] = p->seen[1] = 0; /* pixels that show something: more than have a sample */
+    b.in = plane[from];
+    zbufrandi_parallel_for(&f->env, zbufrandi_between_end, &b, f->recon.height);
 }
 
 /* Suspects within a block of a pixel that the ray through it speaks for: holes if it is empty itself, else others.
@@ -15756,7 +15832,7 @@ static int zbufrandi_repair_local(zbufrandi_picture *p, const zbufrandi_ray_hit 
 /* Were all neighbours of a pixel nearer than it, before rays changed anything? f->depth has that. */
 static int zbufrandi_repair_inside(const zbufrandi_picture *p, uint32_t pixel) {
     const zbufrandi_recon *r = &p->f->recon;
-    const int64_t x = pixel % r->width, y = pixel / r->width, d = r->o.block;
+    const int64_t x = pixel % r->width, y = pixel / r->width, d = zbufrandi_repair_distance(&r->o);
     int64_t i, j;
     if (x < d || y < d || x + d >= (int64_t)r->width || y + d >= (int64_t)r->height) return 0;
     for (j = y - d; j <= y + d; j += d) {
@@ -15821,11 +15897,58 @@ static double zbufrandi_block_empty(double density, double block) {
     return zbufrandi_share_exp2(-1.4426950408889634 * density * block * block);
 }
 
-/* Bound of the probability that a picture of `pixels` covered pixels is wrong somewhere although repaired, when a block
-   gets no sample with probability q. */
-static double zbufrandi_incomplete(double pixels, double q) {
-    const double q2 = q * q;
-    return zbufrandi_min(1.0, pixels * q2 * q2 * q * (70.0 + 56.0 * q));
+/* Bound of the probability that a picture of which `covered` pixels are covered is wrong somewhere although repaired,
+   when a block gets no sample with probability q. */
+static double zbufrandi_incomplete(uint32_t width, uint32_t height, uint32_t distance, double covered,
+                                   double q) {
+    const double q2 = q * q, q3 = q * q2, q4 = q2 * q2;
+    const double size[2] = {(double)width, (double)height}, both = 2.0 * (double)distance;
+    double n[2][3], failed; /* pixels along an axis by how many of both neighbours are in the picture */
+    uint32_t a;
+    for (a = 0; a < 2; a++) {
+        n[a][2] = zbufrandi_max(size[a] - both, 0.0);
+        n[a][0] = zbufrandi_min(zbufrandi_max(both - size[a], 0.0), size[a]);
+        n[a][1] = size[a] - n[a][0] - n[a][2];
+    }
+    failed = zbufrandi_min(covered, n[0][2] * n[1][2]) * q4 * q * (70.0 + 56.0 * q);
+    failed += zbufrandi_min(covered, n[0][2] * n[1][1] + n[0][1] * n[1][2]) * q4 * 10.0;
+    failed += zbufrandi_min(covered, n[0][1] * n[1][1]) * q4;
+    failed += zbufrandi_min(covered, n[0][2] * n[1][0] + n[0][0] * n[1][2]) * q3;
+    failed += zbufrandi_min(covered, n[0][1] * n[1][0] + n[0][0] * n[1][1]) * q2;
+    failed += zbufrandi_min(covered, n[0][0] * n[1][0]) * q;
+    return zbufrandi_min(1.0, failed);
+}
+
+/* Share of the pixels that have all neighbours in the picture. */
+static double zbufrandi_inner_share(uint32_t width, uint32_t height, uint32_t distance) {
+    const double w = (double)width, h = (double)height, both = 2.0 * (double)distance;
+    return zbufrandi_max(1.0 - both / w, 0.0) * zbufrandi_max(1.0 - both / h, 0.0);
+}
+
+/* Probability that a pixel shows what is hidden, before rays. A hole without the samples of what hides it is a pixel to
+   fills that mix; regions grow into it from its whole border, so that up to 1 + n pixels are wrong where n samples are
+   expected, n the samples of a square: as many as measured before a wall of pixels of a rasteriser. Holes of cells lie
+   in a grid and are half as many. density: per pixel; o: of the caller, too */
+static double zbufrandi_pixel_wrong(const zbufrand_reconstruct *o, double density) {
+    const double block = (double)(o->block != 0 ? o->block : 1), q = zbufrandi_block_empty(density, block);
+    double edge, n;
+    if (block == 1.0 || o->occlusion == ZBUFRAND_OCCLUSION_BLOCKS || !zbufrandi_recon_regions(o)) return q;
+    edge = o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? block : 2.0 * (double)(o->block / 2) + 1.0;
+    n = density * edge * edge;
+    return zbufrandi_max(q, zbufrandi_block_empty(n, 1.0) * (1.0 + n) *
+                                (o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? 0.5 : 1.0));
+}
+
+/* Samples per block that keep that below the tolerance, at least 2. */
+static double zbufrandi_complete_samples(uint32_t width, uint32_t height, const zbufrand_reconstruct *o,
+                                         double tolerance) {
+    const double pixels = (double)width * (double)height, block = (double)(o->block != 0 ? o->block : 1);
+    const uint32_t distance = zbufrandi_repair_distance(o);
+    /* enough inside, where 70 + 56 q is below 80 */
+    double n = zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0);
+    while (zbufrandi_incomplete(width, height, distance, pixels, zbufrandi_pixel_wrong(o, n / (block * block))) >
+           tolerance) n += 0.0625;
+    return n;
 }
 
 /* The same when all of the parts of a pixel have to be wrong: that many blocks of which none overlaps another. 1
@@ -15837,24 +15960,34 @@ static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double cove
                               zbufrandi_share_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
 }
 
+/* Edge of the tiles that are looked through for samples: as far as neighbours see. */
+static uint32_t zbufrandi_repair_tile(const zbufrandi_recon *r) {
+    const uint32_t see = zbufrandi_repair_distance(&r->o) + zbufrandi_recon_between(r);
+    return see > 2 ? see : 2;
+}
+
+static size_t zbufrandi_repair_tiles(const zbufrandi_recon *r) {
+    const uint32_t edge = zbufrandi_repair_tile(r);
+    return ((size_t)r->width / edge + 1) * ((size_t)r->height / edge + 1);
+}
+
 /* What lies among rastered pixels alone is right as it is. Is there a pixel that shows a sample in the tile around this
    one and the eight tiles around it? tile: 0 not looked at yet, 1 no, 2 yes. */
 static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uint32_t pixel) {
     const zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
-    const uint32_t wide = (r->width + ZBUFRANDI_REPAIR_TILE - 1) / ZBUFRANDI_REPAIR_TILE,
-        high = (r->height + ZBUFRANDI_REPAIR_TILE - 1) / ZBUFRANDI_REPAIR_TILE,
-        tx = pixel % r->width / ZBUFRANDI_REPAIR_TILE, ty = pixel / r->width / ZBUFRANDI_REPAIR_TILE;
+    const uint32_t edge = zbufrandi_repair_tile(r), wide = (r->width + edge - 1) / edge,
+        high = (r->height + edge - 1) / edge, tx = pixel % r->width / edge, ty = pixel / r->width / edge;
     uint32_t i, j, x, y;
     for (j = ty > 0 ? ty - 1 : 0; j <= ty + 1 && j < high; j++) {
         for (i = tx > 0 ? tx - 1 : 0; i <= tx + 1 && i < wide; i++) {
             uint8_t *t = &tile[(size_t)j * wide + i];
-            const uint32_t x1 = (i + 1) * ZBUFRANDI_REPAIR_TILE, y1 = (j + 1) * ZBUFRANDI_REPAIR_TILE;
+            const uint32_t x1 = (i + 1) * edge, y1 = (j + 1) * edge;
             if (*t == 0) {
                 *t = 1;
-                for (y = j * ZBUFRANDI_REPAIR_TILE; y < y1 && y < r->height && *t == 1; y++) {
+                for (y = j * edge; y < y1 && y < r->height && *t == 1; y++) {
                     const uint64_t *key = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
-                    for (x = i * ZBUFRANDI_REPAIR_TILE; x < x1 && x < r->width; x++) {
+                    for (x = i * edge; x < x1 && x < r->width; x++) {
                         uint32_t block;
                         if (key[x] == ZBUFRANDI_EMPTY) continue;
                         block = ((zbufrandi_key_number(key[x]) >> 6) - p->first_block) & 0x3ffffffu;
@@ -15871,9 +16004,6 @@ static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uin
     return 0;
 }
 
-static size_t zbufrandi_repair_tiles(const zbufrandi_recon *r) {
-    return ((size_t)r->width / ZBUFRANDI_REPAIR_TILE + 1) * ((size_t)r->height / ZBUFRANDI_REPAIR_TILE + 1);
-}
 
 /* ---- where samples are, if they are few ---- */
 
@@ -15930,7 +16060,8 @@ static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
     uint32_t x, y, u, v;
     p->where = NULL;
     if (p->stats.draws[0] + p->stats.draws[1] > (few > ZBUFRANDI_REPAIR_FEW ? few : (size_t)ZBUFRANDI_REPAIR_FEW) ||
-        block > 8 || p->d->points_count != 0 || zbufrandi_recon_between(r) != 0) return (size_t)r->width * r->height;
+        zbufrandi_repair_distance(&r->o) > 8 || p->d->points_count != 0 || zbufrandi_recon_between(r) != 0)
+        return (size_t)r->width * r->height;
     memset(area, 0, (size_t)wide * high);
     for (i = 0; i < f->draw_count; i++) {
         const uint32_t kind = f->draw[i].item >> ZBUFRANDI_DRAW_SHIFT;
@@ -15968,7 +16099,7 @@ static zbufrand_result zbufrandi_find_suspects(zbufrandi_picture *p) {
     s.keep = 0.99f;
     s.hole_count = ZBUFRANDI_REPAIR_HOLE;
     s.wrong_count = ZBUFRANDI_REPAIR_WRONG;
-    s.reach = r->o.block;
+    s.reach = zbufrandi_repair_distance(&r->o);
     s.sure = 1;
     s.level = f->level;
     s.area = p->where;
@@ -16056,13 +16187,13 @@ static zbufrand_result zbufrandi_repair_suspects(zbufrandi_picture *p, uint32_t 
 static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, uint32_t frames) {
     zbufrand_frame *f = p->f;
     const zbufrandi_recon *r = &f->recon;
-    const double block = (double)r->o.block;
     const size_t n = (size_t)r->width * r->height, tiles = zbufrandi_repair_tiles(r);
     const size_t areas = (size_t)((r->width + 15) / 16) * ((r->height + 15) / 16);
     size_t sampled;
     const int between = zbufrandi_recon_between(r) != 0;
     uint64_t covered = p->stats.repaired;
-    uint32_t inside = 0;
+    const uint32_t distance = zbufrandi_repair_distance(&r->o);
+    uint32_t inside = 0, i;
     double failed, q;
     zbufrand_result result = ZBUFRAND_OK;
     if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, between ? 2 * n : n, sizeof *f->depth) ||
@@ -16072,10 +16203,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     p->seen[0] = p->seen[1] = 0;
     sampled = zbufrandi_repair_areas(p, f->mask + n + tiles);
     zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
-    if (between) {
-        zbufrandi_parallel_for(&f->env, zbufrandi_between_rows, p, r->height);
-        zbufrandi_parallel_for(&f->env, zbufrandi_between_columns, p, r->height);
-    }
+    if (between) zbufrandi_between_depths(p);
     result = zbufrandi_find_suspects(p);
     if (result != ZBUFRAND_OK) return result;
     result = zbufrandi_repair_suspects(p, &inside);
@@ -16084,11 +16212,16 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     if (p->where != NULL && p->stats.rastered != 0) covered = sampled; /* else those that have a sample */
     /* What the density promises, or more if more had failed than that: four standard deviations more of those whose
        neighbours show that they lie within a surface. Others were changed because it covers a part of them. */
-    q = zbufrandi_block_empty(density, block);
-    failed = (double)inside - 4.0 * sqrt((double)inside);
-    q = zbufrandi_max(q, failed / (zbufrandi_max((double)covered, 1.0) * (1.0 - zbufrandi_min(8.0 * q, 0.5))));
+    q = zbufrandi_pixel_wrong(&r->o, density);
+    failed = ((double)inside - 4.0 * sqrt((double)inside)) /
+        zbufrandi_max((double)covered * zbufrandi_inner_share(r->width, r->height, distance), 1.0);
+    for (i = 0; i < 2; i++) { /* those whose neighbours were all right */
+        const double right = 1.0 - zbufrandi_min(q, 0.083); /* half of them */
+        q = zbufrandi_max(q, failed / zbufrandi_share_pow(right, 8.0));
+    }
     q = zbufrandi_min(q, 1.0);
-    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete((double)covered, zbufrandi_share_pow(q, (double)frames)),
+    p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete(r->width, r->height, distance, (double)covered,
+                                                             zbufrandi_share_pow(q, (double)frames)),
                                         zbufrandi_parts_incomplete(p, (double)covered, q));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
@@ -16368,8 +16501,7 @@ static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     if (d->density > 0.0) return d->density;
     if (d->no_repair) density = zbufrand_density(pixels, block, 1.0 - tolerance);
     else if (zbufrandi_shares_samples(d)) density = (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
-    /* zbufrandi_incomplete is at most the tolerance then: 70 + 56 q is below 80 */
-    else density = zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0) /
+    else density = zbufrandi_complete_samples(p->image->width, p->image->height, &d->reconstruct, tolerance) /
             (block * block);
     if (p->parts > 1) /* one of the parts of a pixel that is right is enough; fewer samples than that look no better */
         density = zbufrandi_min(density, zbufrandi_max(zbufrand_density(pixels / parts, 1.0, 1.0 - tolerance) / parts,

@@ -1994,6 +1994,15 @@ TEST(projection) {
         k += s[i].z > 0;
     }
     CHECK_EQ_U64(k, 17); /* those of every third depth */
+    for (i = 0; i < 50; i++) { /* depths that samples have, and those beyond */
+        static const float z[5] = {0.9e-30f, 1.1e-30f, 0.9e30f, 1.1e30f, 3e38f};
+        memset(&positions[3 * i], 0, 3 * sizeof *positions);
+        positions[3 * i + 2] = z[i % 5];
+    }
+    v.focal = 100.0;
+    v.near_z = 1e-38;
+    CHECK_EQ_U64(zbufrand_project(&v, &p, 0, 50, s), ZBUFRAND_OK);
+    for (i = 0; i < 50; i++) CHECK((s[i].z > 0) == (i % 5 == 1 || i % 5 == 2));
     CHECK_EQ_U64(zbufrand_project(&v, &p, 40, 11, s), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_project(NULL, &p, 0, 1, s), ZBUFRAND_ERR_INVALID_ARG);
     v.focal = 0.0;

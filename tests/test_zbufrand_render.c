@@ -725,14 +725,15 @@ TEST(reported_share_is_incomplete) {
             CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, W, H, 0, &camera), ZBUFRAND_OK);
             for (i = 0; i < N * K * K; i++) e.z[i] = (double)INFINITY;
             exact_mesh(&e, &camera, &mesh);
-            for (m = 0; m < 2; m++) { /* the limits: around pixels, around blocks of 2 x 2 */
+            for (m = 0; m < 2; m++) { /* the limits: around pixels, around blocks of 2 x 2, which reach beyond the picture */
                 const uint32_t reach = m == 0 ? 1 : 3;
                 for (y = 0; y < H; y++) {
                     for (x = 0; x < W; x++) {
-                        const int inside = x >= reach && y >= reach && x + reach < W && y + reach < H;
+                        const int inside = m == 0 || (x >= reach && y >= reach && x + reach < W && y + reach < H);
+                        const uint32_t x0 = x < reach ? 0 : x - reach, y0 = y < reach ? 0 : y - reach;
                         double most = inside ? 0 : (double)INFINITY;
-                        for (j = (y - reach) * K; inside && j < (y + reach + 1) * K; j++)
-                            for (i = (x - reach) * K; i < (x + reach + 1) * K; i++) most = e.z[j * (W * K) + i] > most ? e.z[j * (W * K) + i] : most;
+                        for (j = y0 * K; inside && j < (y + reach + 1) * K && j < H * K; j++)
+                            for (i = x0 * K; i < (x + reach + 1) * K && i < W * K; i++) most = e.z[j * (W * K) + i] > most ? e.z[j * (W * K) + i] : most;
                         behind[m][y * W + x] = (float)(most * 1.01);
                         covered += most < (double)INFINITY;
                     }
@@ -751,7 +752,10 @@ TEST(reported_share_is_incomplete) {
                     CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, &st), ZBUFRAND_OK);
                     /* one pass is enough: what is missed is what its density lets expect */
                     CHECK_MSG(st.incomplete <= d.tolerance * 1.0001 && st.density < 15, "%s: %g at density %g", way[k].name, st.incomplete, st.density);
-                    if (d.no_repair == 0) CHECK(fabs(st.density * way[k].block * way[k].block / (0.2 * log(80.0 * (W * H) / d.tolerance)) - 1) < 1e-6);
+                    if (d.no_repair == 0) { /* what the inside needs, and a little more for the borders */
+                        const double inner = 0.2 * log(80.0 * (W * H) / d.tolerance), n = st.density * way[k].block * way[k].block;
+                        CHECK_MSG(n > inner * (1 - 1e-6) && n < inner + 0.13, "%g of %g", n, inner);
+                    }
                     reported[wall][k] += st.incomplete;
                     pictures[wall][k]++;
                     bad[wall][k] += (uint32_t)incomplete(behind[way[k].block - 1], b.depth, N);
@@ -958,7 +962,7 @@ TEST(noise_of_random_scenes) {
         noisy += many.frames == MANY;
         if (test_g.verbose) printf("scene %u: asked %.4f, said %.4f, is %.3f of that, %u frames\n", k, d.noise, st.rmse, error, (unsigned)st.frames);
         ratio += error * error / count;
-        worst = error > worst ? error : worst;
+        if (d.noise > 1e-4) worst = error > worst ? error : worst; /* less is one pixel, in one frame of many */
         least = error < least ? error : least;
         zbufrand_scene_destroy(scene);
         shape_free(&s);
@@ -2308,14 +2312,136 @@ TEST(gaps_between_squares) {
     shape_free(&s);
 }
 
+/* The least depth around each pixel, in passes, against all pixels around it one by one; what keeps its colour keeps its depth. */
+TEST(depths_between_samples) {
+    enum { W = 37, H = 23 };
+    static float depth[2 * W * H], want[W * H];
+    static uint64_t keys[W * H];
+    test_rng r = test_rng_make(4);
+    uint32_t way, i, x, y, u, v;
+    for (way = 0; way < 60; way++) {
+        const int keeps = (int)(way & 1);
+        zbufrand_frame f;
+        zbufrandi_picture p;
+        uint64_t covered = 0;
+        uint32_t reach, wrong = 0;
+        memset(&f, 0, sizeof f);
+        memset(&p, 0, sizeof p);
+        p.f = &f;
+        f.env.thread_count = 1 + way % 3;
+        f.depth = depth;
+        f.recon.width = f.recon.result_width = W;
+        f.recon.height = H;
+        f.recon.result = keys;
+        f.recon.o.occlusion = ZBUFRAND_OCCLUSION_CELLS;
+        f.recon.o.block = 2 + way / 2;
+        f.recon.o.gauss_radius = (float)(2 + way);
+        f.recon.o.gauss_support = 1;
+        f.recon.o.fill = keeps ? ZBUFRAND_FILL_PULL_PUSH : ZBUFRAND_FILL_GAUSS;
+        reach = zbufrandi_recon_between(&f.recon);
+        CHECK_EQ_U64(reach, keeps ? 4 + 2 * (way / 2) : 1 + way);
+        for (i = 0; i < W * H; i++) {
+            uint32_t bits;
+            depth[i] = test_rng_double(&r) < 0.02 ? (float)(1 + test_rng_double(&r)) : (float)INFINITY;
+            memcpy(&bits, &depth[i], sizeof bits);
+            keys[i] = depth[i] < (float)INFINITY ? (uint64_t)bits << 32 : ZBUFRANDI_EMPTY;
+        }
+        for (y = 0; y < H; y++)
+            for (x = 0; x < W; x++) {
+                float least = depth[y * W + x];
+                for (v = y < reach ? 0 : y - reach; v < H && v <= y + reach && !(keeps && depth[y * W + x] < (float)INFINITY); v++)
+                    for (u = x < reach ? 0 : x - reach; u < W && u <= x + reach; u++)
+                        least = depth[v * W + u] < least ? depth[v * W + u] : least;
+                want[y * W + x] = least;
+                covered += least < (float)INFINITY;
+            }
+        p.seen[0] = 12345;
+        zbufrandi_between_depths(&p);
+        for (i = 0; i < W * H; i++) wrong += !(depth[i] == want[i]);
+        CHECK_EQ_U64(wrong, 0);
+        CHECK_EQ_U64(zbufrandi_tally(p.seen), covered);
+    }
+}
+
+/* A red wall hides a blue one, of samples or rastered: pictures with a blue pixel are as few as the tolerance says, at the borders,
+   too, and what is reported is about all pixels that show something, however few keep a sample. */
+TEST(borders_and_mixtures_keep_promises) {
+    enum { W = 80, H = 60, N = 40, FRAMES = 40, WAYS = 22 };
+    static const zbufrand_fill fills[3] = {ZBUFRAND_FILL_VORONOI, ZBUFRAND_FILL_GAUSS, ZBUFRAND_FILL_PULL_PUSH};
+    static const uint32_t edges[4] = {2, 3, 8, 1};
+    static float rgba[4 * W * H];
+    static uint8_t rgb[2 * 4 * N * N * 3];
+    uint32_t i, k, way, seed, rastered;
+    for (rastered = 0; rastered < 2; rastered++) {
+        const uint32_t side[2] = {N, rastered ? 1 : N};
+        zbufrand_scene *scene;
+        zbufrand_frame *frame;
+        zbufrand_mesh m;
+        shape s;
+        memset(&s, 0, sizeof s);
+        memset(rgb, 0, sizeof rgb);
+        for (k = 0; k < 2; k++)
+            for (i = 0; i < side[k] * side[k]; i++) {
+                const double half = k == 0 ? 2.2 : rastered ? 1000 : 6, step = 2 * half / side[k];
+                const double x = step * (i % side[k]) - half, y = step * (i / side[k]) - half;
+                const uint32_t v = shape_vertex(&s, x, y, -6.0 * k);
+                (void)shape_vertex(&s, x + step, y, -6.0 * k);
+                (void)shape_vertex(&s, x + step, y + step, -6.0 * k);
+                (void)shape_vertex(&s, x, y + step, -6.0 * k);
+                shape_triangle(&s, v, v + 1, v + 2);
+                shape_triangle(&s, v, v + 2, v + 3);
+            }
+        for (i = 0; i < s.vertices; i++) rgb[3 * i + (i < 4 * N * N ? 0 : 2)] = 255;
+        m = mesh_of(&s);
+        m.vertex_rgb = rgb;
+        scene = scene_of(&m, 1);
+        frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        for (way = 0; way < WAYS; way++) { /* cells, squares, blocks */
+            double incomplete = 0;
+            uint32_t bad = 0;
+            for (seed = 0; seed < FRAMES; seed++) {
+                zbufrand_render_desc d;
+                zbufrand_stats st;
+                zbufrand_image image;
+                memset(&d, 0, sizeof d);
+                memset(&image, 0, sizeof image);
+                d.camera.eye[2] = 4;
+                d.camera.fov_y = 30;
+                d.seed = seed;
+                d.independent = d.unlit = d.no_occlusion = 1;
+                d.hybrid = ZBUFRAND_HYBRID_OFF;
+                d.tolerance = 0.2;
+                d.reconstruct.fill = way < 18 ? fills[way % 3] : ZBUFRAND_FILL_NONE;
+                d.reconstruct.block = way < 18 ? edges[way / 3 % 3] : edges[way - 18];
+                d.reconstruct.occlusion = way < 9 ? ZBUFRAND_OCCLUSION_CELLS :
+                    way < 18 ? ZBUFRAND_OCCLUSION_SQUARES : ZBUFRAND_OCCLUSION_BLOCKS;
+                image.width = W;
+                image.height = H;
+                image.rgba = rgba;
+                CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, &st), ZBUFRAND_OK);
+                CHECK((st.draws[2] != 0) == rastered);
+                for (i = 0; i < W * H && rgba[4 * i] > 1e-3f; i++) { }
+                bad += i < W * H;
+                incomplete += st.incomplete / FRAMES;
+            }
+            CHECK_MSG(incomplete > 0.01 && incomplete <= 0.2, "way %u: %g", way, incomplete);
+            if (test_g.verbose) printf("way %u: %u\n", way, bad);
+            CHECK_MSG(bad <= 18, "way %u: %u of %d", way, bad, FRAMES); /* 8, and four standard deviations */
+        }
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+    }
+}
+
 /* Whole pictures have these bits on every machine, with every compiler, any number of threads: a soup, nested and mirrored, as
    samples, rastered, by rays, in blocks and filters. Only exact arithmetic makes the scene: no libm. */
 TEST(golden_pictures) {
     enum { W = 101, H = 77, WAYS = 10 };
     static const uint64_t want[WAYS] = {
-        UINT64_C(0xfa2d815c4f27b9cd), UINT64_C(0xa5b3d69bc422f79e), UINT64_C(0x55648bb114835777), UINT64_C(0x90b0e70fea620338),
-        UINT64_C(0x76937fa34d547cea), UINT64_C(0x38f0aaf1f197a25f), UINT64_C(0xaff3c5cff8472085),
-        UINT64_C(0xf9083feded0b0cf4), UINT64_C(0xee8cda2f5f77914c), UINT64_C(0x89453230569beed8)
+        UINT64_C(0xa3b6c16efd187f4c), UINT64_C(0x038941fe2e1b65a4), UINT64_C(0x55648bb114835777), UINT64_C(0x43b35d87f320117d),
+        UINT64_C(0x76937fa34d547cea), UINT64_C(0x690b6e0b595b300c), UINT64_C(0x85cbde06e1917696),
+        UINT64_C(0x8bc36fed88ad4827), UINT64_C(0xade6b8afe89fa667), UINT64_C(0x89453230569beed8)
     };
     static const float half[1] = {0.5f};
     zbufrand_scene *scene = NULL;
@@ -2581,10 +2707,10 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
 TEST(golden_scenes) {
     enum { W = 93, H = 71, WAYS = 3 };
     static const uint64_t want[GOLDEN_SCENES] = {
-        UINT64_C(0xa83c5a6f61d8b30b), UINT64_C(0x9111d9109149f881), UINT64_C(0x8c53013cc814904a),
-        UINT64_C(0xd416a749cc9ba321), UINT64_C(0xe9901375d1ceddbf), UINT64_C(0xc92498c9b66221d3),
-        UINT64_C(0xeaa1715997898788), UINT64_C(0xaaba00a5cc0696ad), UINT64_C(0x04b66c85177acf72),
-        UINT64_C(0xb04daffadcb1f2b2)
+        UINT64_C(0x8ed1846d011625e3), UINT64_C(0xfb451c29500d9210), UINT64_C(0xc807cd76e1274cfe),
+        UINT64_C(0xb1a51e101f7b8f92), UINT64_C(0x6f5cb80fdc7df8a5), UINT64_C(0x89e3648fa38d46b6),
+        UINT64_C(0xb45fde83417f9b46), UINT64_C(0x55c0b24c4b9654ca), UINT64_C(0x20674d27761ad736),
+        UINT64_C(0x7508ce43020b6ba6)
     };
     static const float eye[GOLDEN_SCENES][3] = {
         {1, 2, 14}, {2, 1, 18}, {3, 6, 14}, {4, 5, 14}, {6, 5, 14}, {30, 24, 62}, {1, 3, 9}, {5, 6, 11}, {3, 1, 14}, {0.5f, 0.25f, 11}
@@ -3303,6 +3429,8 @@ int main(int argc, char **argv) {
     RUN(oversampled);
     RUN(pictures_stay_as_good);
     RUN(gaps_between_squares);
+    RUN(depths_between_samples);
+    RUN(borders_and_mixtures_keep_promises);
     RUN(golden_pictures);
     RUN(golden_scenes);
     RUN(costs_are_measured);
