@@ -4,7 +4,7 @@
 #define ZBUFRAND_IMPLEMENTATION
 #include "../../zbufrand.h"
 
-enum { WIDE = 13, HIGH = 9, NUMBERS = 200, NODES = 10, OPTIONS = 20 };
+enum { WIDE = 13, HIGH = 9, NUMBERS = 200, NODES = 10, OPTIONS = 20, MANY = 40 };
 typedef struct picture {
     float rgba[HIGH * WIDE][4], depth[HIGH * WIDE];
     uint8_t rgba8[HIGH * WIDE][4];
@@ -68,6 +68,15 @@ static int look(void *user, const zbufrand_sample *s, const uint32_t *numbers, s
     return (*(size_t *)user += count) > 5000;
 }
 
+/* What updates keep is given back, and trees have room for all their nodes. */
+static void trees(const zbufrand_scene *scene) {
+    size_t i;
+    for (i = 0; scene->live != NULL && i < scene->structure_count; i++) {
+        const zbufrandi_live_structure *s = &scene->live->s[i];
+        if (s->promised != 0 || s->spare != 0 || (s->at != NULL && scene->structure[i].node_count > s->node_capacity)) abort();
+    }
+}
+
 /* What the scene is, without a picture: points of its surface, the cut for a view, samples of it. */
 static void ask(const zbufrand_scene *scene, const zbufrand_render_desc *desc) {
     float position[30][3], normal[30][3];
@@ -126,7 +135,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const uint8_t *o = data + 1, *at;
     static const uint8_t rgb[18] = {255, 0, 0, 0, 255, 0, 0, 0, 255, 90, 90, 90, 255, 255, 0, 0, 255, 255};
     zbufrand_node node[NODES + 1] = {ZBUFRAND_ROOT};
-    zbufrand_transform many[4];
+    zbufrand_transform many[MANY];
     zbufrand_scene_desc sd;
     zbufrand_build_desc b;
     zbufrand_render_desc d;
@@ -167,8 +176,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         } else if (q[0] % 4 == 2) {
             (void)zbufrand_add_list(scene, parent, &t, q[0] >> 6, &node[i + 1]);
         } else if (q[0] & 4) {
-            for (k = 0; k < 4; k++) many[k] = place(q[3] + (uint32_t)k, f + (q[2] + 7 * k) % (NUMBERS - 12));
-            if (zbufrand_add_references(scene, parent, many, 4, target, &node[i + 1]) == ZBUFRAND_OK) break; /* borrowed */
+            const size_t count = q[0] & 8 ? MANY : 4;
+            for (k = 0; k < count; k++) many[k] = place(q[3] + (uint32_t)k, f + (q[2] + 7 * k) % (NUMBERS - 12));
+            if (zbufrand_add_references(scene, parent, many, count, target, &node[i + 1]) == ZBUFRAND_OK) break; /* borrowed */
         } else {
             (void)zbufrand_add_reference(scene, parent, &t, target, &node[i + 1]);
         }
@@ -208,15 +218,18 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         draw(scene, &d, o[12] & 4, p);
         ask(scene, &d);
         cameras(scene, &d.camera, f);
-        for (i = 0; i < 3; i++) { /* edits, as many as there are bytes for */
-            const zbufrand_transform t = place(o[13 + 2 * i], f + o[13 + 2 * i] % (NUMBERS - 12));
-            const zbufrand_node which = node[1 + o[14 + 2 * i] % n];
-            if (o[19] & 1) (void)zbufrand_set_reference(scene, which, o[19] >> 1 & 7, o[19] & 16 ? NULL : &t);
+        for (i = 0; i < (o[19] & 128 ? MANY : 3); i++) { /* edits, as many as there are bytes for, or one after the other of a row */
+            const zbufrand_transform t = place(o[13 + 2 * (i % 3)], f + (o[13 + 2 * (i % 3)] + i / 3) % (NUMBERS - 12));
+            const zbufrand_node which = node[1 + o[14 + 2 * (i % 3)] % n];
+            if (o[19] & 1) (void)zbufrand_set_reference(scene, which, i < 3 ? o[19] >> 1 & 7 : i, o[19] & 16 ? NULL : &t);
             if (o[12] & 8) (void)zbufrand_move(scene, which, &t);
             else if (o[12] & 16) (void)zbufrand_remove(scene, which);
             else if (o[12] & 32) (void)zbufrand_add_reference(scene, ZBUFRAND_ROOT, &t, which, NULL);
         }
-        if (((o[12] & 56) != 0 || (o[19] & 1)) && zbufrand_scene_update(scene, NULL) == ZBUFRAND_OK) draw(scene, &d, o[12] & 4, p);
+        if (((o[12] & 56) != 0 || (o[19] & 1)) && zbufrand_scene_update(scene, NULL) == ZBUFRAND_OK) {
+            trees(scene);
+            draw(scene, &d, o[12] & 4, p);
+        }
     }
     zbufrand_scene_destroy(scene);
     return 0;
