@@ -1104,9 +1104,11 @@ typedef struct zbufrand_costs {
    tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
                    or more than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of
                    d x d: up to 3 d / 2 pixels away; 5 d / 2 where regions grow over cells or squares), where these are
-                   covered as a whole. Where a fill mixes samples a pixel is as deep as the nearest of them. Holds for
-                   what is sampled; what is rastered misses nothing. With `noise` and without a tolerance frames have
-                   half as many samples, and what is reported is about all of them: that somewhere none is right
+                   covered as a whole. Where a fill mixes samples of cells or squares, a pixel that keeps none of its
+                   own is as deep as the nearest of them. Gaps between cells or squares that nothing fills do not count
+                   (fill none; `reach` or a Gaussian that reaches less than a block). Holds for what is sampled; what is
+                   rastered misses nothing. With `noise` and without a tolerance frames have half as many samples, and
+                   what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
@@ -12113,13 +12115,13 @@ static int zbufrandi_recon_regions(const zbufrand_reconstruct *o) { /* does a pi
 }
 
 /* Of cells and squares a few pixels keep samples, and a fill mixes those around the others: from how far? 0: not so. */
-ZBUFRANDI_UNUSED static uint32_t zbufrandi_recon_between(const zbufrandi_recon *r) {
+ZBUFRANDI_UNUSED static uint32_t zbufrandi_recon_between(const zbufrand_reconstruct *o) {
     float weight[ZBUFRANDI_GAUSS_TAPS];
-    if (r->o.block == 1 || r->o.occlusion == ZBUFRAND_OCCLUSION_BLOCKS) return 0;
-    if (r->o.fill == ZBUFRAND_FILL_GAUSS)
-        return (uint32_t)zbufrandi_gauss_weights(r->o.gauss_radius, r->o.gauss_support, weight) - 1;
-    if (r->o.fill != ZBUFRAND_FILL_PULL_PUSH) return 0;
-    return r->o.reach != 0 && r->o.reach < 2 * r->o.block ? r->o.reach : 2 * r->o.block;
+    if (o->block == 1 || o->occlusion == ZBUFRAND_OCCLUSION_BLOCKS) return 0;
+    if (o->fill == ZBUFRAND_FILL_GAUSS)
+        return (uint32_t)zbufrandi_gauss_weights(o->gauss_radius, o->gauss_support, weight) - 1;
+    if (o->fill != ZBUFRAND_FILL_PULL_PUSH) return 0;
+    return o->reach != 0 && o->reach < 2 * o->block ? o->reach : 2 * o->block;
 }
 
 /* want_exact: there will be pixels of a rasteriser. r->exact is allocated only where it differs from the canvas. */
@@ -15577,10 +15579,10 @@ enum { ZBUFRANDI_REPAIR_RAYS = 64, ZBUFRANDI_REPAIR_WRONG = 5, ZBUFRANDI_REPAIR_
        /* in the mask of suspects: their kind, another one's ray may speak for it, a ray of its own that may do so */
        ZBUFRANDI_REPAIR_KIND = 63, ZBUFRANDI_REPAIR_SPOKEN = 64, ZBUFRANDI_REPAIR_SPEAKS = 128 };
 
-/* How far away a pixel's neighbours are. o: of the caller, too */
+/* How far away a pixel's neighbours are. */
 static uint32_t zbufrandi_repair_distance(const zbufrand_reconstruct *o) {
-    const uint32_t block = o->block != 0 ? o->block : 1;
-    return block > 1 && o->occlusion != ZBUFRAND_OCCLUSION_BLOCKS && zbufrandi_recon_regions(o) ? 2 * block : block;
+    return o->block > 1 && o->occlusion != ZBUFRAND_OCCLUSION_BLOCKS && zbufrandi_recon_regions(o) ? 2 * o->block :
+        o->block;
 }
 
 #if ZBUFRANDI_AVX2
@@ -15650,9 +15652,17 @@ typedef struct zbufrandi_between {
     int columns;
 } zbufrandi_between;
 
+static void zbufrandi_between_start(void *ctx, uint32_t y) { /* depths of samples, those beside the picture, too */
+    const zbufrandi_between *b = (const zbufrandi_between *)ctx;
+    const zbufrandi_recon *r = &b->picture->f->recon;
+    (void)zbufrandi_key_depths(b->picture->f->level, r->result + (size_t)y * r->result_width, r->result_width,
+                               (uint8_t *)(b->out + (size_t)y * r->result_width));
+}
+
 static void zbufrandi_between_pass(void *ctx, uint32_t y) {
     const zbufrandi_between *b = (const zbufrandi_between *)ctx;
-    const uint32_t width = b->picture->f->recon.width, height = b->picture->f->recon.height, step = b->step;
+    const zbufrandi_recon *r = &b->picture->f->recon;
+    const uint32_t width = r->result_width, height = r->result_height, step = b->step;
     const float *row = b->in + (size_t)y * width;
     float *out = b->out + (size_t)y * width;
     uint32_t x;
@@ -15675,14 +15685,14 @@ static void zbufrandi_between_pass(void *ctx, uint32_t y) {
 static void zbufrandi_between_end(void *ctx, uint32_t y) {
     const zbufrandi_between *b = (const zbufrandi_between *)ctx;
     const zbufrandi_recon *r = &b->picture->f->recon;
-    const uint64_t *keys = r->result + (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
+    const size_t from = (size_t)(y + r->result_guard) * r->result_width + r->result_guard;
+    const uint64_t *keys = r->result + from;
     const int keeps = r->o.fill == ZBUFRAND_FILL_PULL_PUSH;
-    const float *in = b->in + (size_t)y * r->width;
     float *out = b->picture->f->depth + (size_t)y * r->width;
     uint32_t x, covered = 0;
     for (x = 0; x < r->width; x++) {
         const uint32_t bits = (uint32_t)(keys[x] >> 32);
-        float z = in[x];
+        float z = b->in[from + x];
         if (keeps && bits < 0x7f800000u) memcpy(&z, &bits, sizeof z);
         out[x] = z;
         covered += z < (float)INFINITY;
@@ -15690,27 +15700,30 @@ static void zbufrandi_between_end(void *ctx, uint32_t y) {
     zbufrandi_tally_add(b->picture->seen, covered);
 }
 
-static void zbufrandi_between_depths(zbufrandi_picture *p) { /* f->depth has room for another plane */
+/* f->depth: the picture, and two planes of the size of the result behind it. */
+static void zbufrandi_between_depths(zbufrandi_picture *p) {
     zbufrand_frame *f = p->f;
-    const uint32_t reach = zbufrandi_recon_between(&f->recon);
+    const zbufrandi_recon *r = &f->recon;
+    const uint32_t reach = zbufrandi_recon_between(&r->o);
     float *plane[2];
     zbufrandi_between b;
     uint32_t have, from = 0;
-    plane[0] = f->depth;
-    plane[1] = f->depth + (size_t)f->recon.width * f->recon.height;
+    plane[0] = f->depth + (size_t)r->width * r->height;
+    plane[1] = plane[0] + (size_t)r->result_width * r->result_height;
     memset(&b, 0, sizeof b);
     b.picture = p;
+    b.out = plane[0];
+    zbufrandi_parallel_for(&f->env, zbufrandi_between_start, &b, r->result_height);
     for (b.columns = 0; b.columns < 2; b.columns++) {
         for (have = 0; have < reach; have += b.step, from ^= 1) {
             b.step = have == 0 ? 1 : reach - have < have ? reach - have : have;
             b.in = plane[from];
             b.out = plane[from ^ 1];
-            zbufrandi_parallel_for(&f->env, zbufrandi_between_pass, &b, f->recon.height);
+            zbufrandi_parallel_for(&f->env, zbufrandi_between_pass, &b, r->result_height);
         }
     }
-    p->seen[0] = p->seen[1] = 0; /* pixels that show something: more than have a sample */
     b.in = plane[from];
-    zbufrandi_parallel_for(&f->env, zbufrandi_between_end, &b, f->recon.height);
+    zbufrandi_parallel_for(&f->env, zbufrandi_between_end, &b, r->height);
 }
 
 /* Suspects within a block of a pixel that the ray through it speaks for: holes if it is empty itself, else others.
@@ -15925,36 +15938,46 @@ static double zbufrandi_inner_share(uint32_t width, uint32_t height, uint32_t di
     return zbufrandi_max(1.0 - both / w, 0.0) * zbufrandi_max(1.0 - both / h, 0.0);
 }
 
+/* Edge of the square of pixels around one in which a sample makes it right: a block, unless its fill does not reach as
+   far (Gaussians end at 256 pixels). Gaps that nothing fills are not counted. */
+static double zbufrandi_pixel_window(const zbufrand_reconstruct *o) {
+    uint32_t reach = o->block;
+    if (o->block == 1 || o->occlusion == ZBUFRAND_OCCLUSION_BLOCKS) return (double)o->block;
+    if (o->fill == ZBUFRAND_FILL_GAUSS || o->fill == ZBUFRAND_FILL_PULL_PUSH) reach = zbufrandi_recon_between(o);
+    else if (zbufrandi_recon_regions(o) && o->reach != 0 && o->reach < reach) reach = o->reach;
+    return (double)(2 * reach + 1 < o->block ? 2 * reach + 1 : o->block);
+}
+
 /* Probability that a pixel shows what is hidden, before rays. A hole without the samples of what hides it is a pixel to
    fills that mix; regions grow into it from its whole border, so that up to 1 + n pixels are wrong where n samples are
    expected, n the samples of a square: as many as measured before a wall of pixels of a rasteriser. Holes of cells lie
-   in a grid and are half as many. density: per pixel; o: of the caller, too */
+   in a grid and are half as many. density: per pixel */
 static double zbufrandi_pixel_wrong(const zbufrand_reconstruct *o, double density) {
-    const double block = (double)(o->block != 0 ? o->block : 1), q = zbufrandi_block_empty(density, block);
+    const double block = (double)o->block, q = zbufrandi_block_empty(density, zbufrandi_pixel_window(o));
     double edge, n;
-    if (block == 1.0 || o->occlusion == ZBUFRAND_OCCLUSION_BLOCKS || !zbufrandi_recon_regions(o)) return q;
+    if (o->block == 1 || o->occlusion == ZBUFRAND_OCCLUSION_BLOCKS || !zbufrandi_recon_regions(o)) return q;
     edge = o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? block : 2.0 * (double)(o->block / 2) + 1.0;
     n = density * edge * edge;
     return zbufrandi_max(q, zbufrandi_block_empty(n, 1.0) * (1.0 + n) *
                                 (o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? 0.5 : 1.0));
 }
 
-/* Samples per block that keep that below the tolerance, at least 2. */
-static double zbufrandi_complete_samples(uint32_t width, uint32_t height, const zbufrand_reconstruct *o,
+/* Density that keeps that below the tolerance, at least 2 samples in what makes a pixel right. */
+static double zbufrandi_complete_density(uint32_t width, uint32_t height, const zbufrand_reconstruct *o,
                                          double tolerance) {
-    const double pixels = (double)width * (double)height, block = (double)(o->block != 0 ? o->block : 1);
+    const double pixels = (double)width * (double)height, edge = zbufrandi_pixel_window(o);
     const uint32_t distance = zbufrandi_repair_distance(o);
     /* enough inside, where 70 + 56 q is below 80 */
     double n = zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0);
-    while (zbufrandi_incomplete(width, height, distance, pixels, zbufrandi_pixel_wrong(o, n / (block * block))) >
+    while (zbufrandi_incomplete(width, height, distance, pixels, zbufrandi_pixel_wrong(o, n / (edge * edge))) >
            tolerance) n += 0.0625;
-    return n;
+    return n / (edge * edge);
 }
 
 /* The same when all of the parts of a pixel have to be wrong: that many blocks of which none overlaps another. 1
    without parts. */
-static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double covered, double q) {
-    const double parts = (double)p->parts, block = (double)p->f->recon.o.block;
+static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double block, double covered, double q) {
+    const double parts = (double)p->parts;
     if (p->parts <= 1) return 1.0;
     return zbufrandi_min(1.0, covered / parts *
                               zbufrandi_share_pow(q, zbufrandi_max(parts / (block * block), 1.0)));
@@ -15962,7 +15985,7 @@ static double zbufrandi_parts_incomplete(const zbufrandi_picture *p, double cove
 
 /* Edge of the tiles that are looked through for samples: as far as neighbours see. */
 static uint32_t zbufrandi_repair_tile(const zbufrandi_recon *r) {
-    const uint32_t see = zbufrandi_repair_distance(&r->o) + zbufrandi_recon_between(r);
+    const uint32_t see = zbufrandi_repair_distance(&r->o) + zbufrandi_recon_between(&r->o);
     return see > 2 ? see : 2;
 }
 
@@ -16060,7 +16083,7 @@ static size_t zbufrandi_repair_areas(zbufrandi_picture *p, uint8_t *area) {
     uint32_t x, y, u, v;
     p->where = NULL;
     if (p->stats.draws[0] + p->stats.draws[1] > (few > ZBUFRANDI_REPAIR_FEW ? few : (size_t)ZBUFRANDI_REPAIR_FEW) ||
-        zbufrandi_repair_distance(&r->o) > 8 || p->d->points_count != 0 || zbufrandi_recon_between(r) != 0)
+        zbufrandi_repair_distance(&r->o) > 8 || p->d->points_count != 0 || zbufrandi_recon_between(&r->o) != 0)
         return (size_t)r->width * r->height;
     memset(area, 0, (size_t)wide * high);
     for (i = 0; i < f->draw_count; i++) {
@@ -16190,20 +16213,20 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     const size_t n = (size_t)r->width * r->height, tiles = zbufrandi_repair_tiles(r);
     const size_t areas = (size_t)((r->width + 15) / 16) * ((r->height + 15) / 16);
     size_t sampled;
-    const int between = zbufrandi_recon_between(r) != 0;
+    const size_t between = zbufrandi_recon_between(&r->o) != 0 ? 2 * (size_t)r->result_width * r->result_height : 0;
     uint64_t covered = p->stats.repaired;
     const uint32_t distance = zbufrandi_repair_distance(&r->o);
     uint32_t inside = 0, i;
     double failed, q;
     zbufrand_result result = ZBUFRAND_OK;
-    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, between ? 2 * n : n, sizeof *f->depth) ||
+    if (!zbufrandi_grow(&f->mem, (void **)&f->depth, &f->depth_capacity, 0, n + between, sizeof *f->depth) ||
         !zbufrandi_grow(&f->mem, (void **)&f->mask, &f->mask_capacity, 0, n + tiles + areas, 1))
             return ZBUFRAND_ERR_NO_MEMORY;
     f->suspect_count = 0;
     p->seen[0] = p->seen[1] = 0;
     sampled = zbufrandi_repair_areas(p, f->mask + n + tiles);
-    zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
-    if (between) zbufrandi_between_depths(p);
+    if (between != 0) zbufrandi_between_depths(p);
+    else zbufrandi_parallel_for(&f->env, zbufrandi_depth_task, p, r->height);
     result = zbufrandi_find_suspects(p);
     if (result != ZBUFRAND_OK) return result;
     result = zbufrandi_repair_suspects(p, &inside);
@@ -16222,7 +16245,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     q = zbufrandi_min(q, 1.0);
     p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete(r->width, r->height, distance, (double)covered,
                                                              zbufrandi_share_pow(q, (double)frames)),
-                                        zbufrandi_parts_incomplete(p, (double)covered, q));
+                                        zbufrandi_parts_incomplete(p, (double)r->o.block, (double)covered, q));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
 }
@@ -16494,19 +16517,25 @@ static double zbufrandi_tolerance(const zbufrand_render_desc *d) {
 
 static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     const zbufrand_render_desc *d = p->d;
-    const double block = d->reconstruct.block != 0 ? (double)d->reconstruct.block : 1.0, parts = (double)p->parts;
-    const double pixels = (double)p->image->width * (double)p->image->height;
+    const double pixels = (double)p->image->width * (double)p->image->height, parts = (double)p->parts;
     const double tolerance = zbufrandi_tolerance(d);
-    double density;
+    zbufrand_reconstruct o = d->reconstruct;
+    zbufrand_env env;
+    double density, block, least;
     if (d->density > 0.0) return d->density;
-    if (d->no_repair) density = zbufrand_density(pixels, block, 1.0 - tolerance);
+    memset(&env, 0, sizeof env);
+    if (zbufrandi_reconstruct_check(&env, &o) != ZBUFRAND_OK) return 1.0; /* who opens it says why */
+    block = (double)o.block;
+    if (d->no_repair) density = zbufrand_density(pixels, zbufrandi_pixel_window(&o), 1.0 - tolerance);
     else if (zbufrandi_shares_samples(d)) density = (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
-    else density = zbufrandi_complete_samples(p->image->width, p->image->height, &d->reconstruct, tolerance) /
-            (block * block);
-    if (p->parts > 1) /* one of the parts of a pixel that is right is enough; fewer samples than that look no better */
-        density = zbufrandi_min(density, zbufrandi_max(zbufrand_density(pixels / parts, 1.0, 1.0 - tolerance) / parts,
-                                                       1.0 / (block * block)));
-    return density;
+    else density = zbufrandi_complete_density(p->image->width, p->image->height, &o, tolerance);
+    if (p->parts <= 1) return density;
+    /* one of the parts of a pixel that is right is enough; fewer samples than that look no better */
+    least = zbufrandi_max(zbufrand_density(pixels / parts, 1.0, 1.0 - tolerance) / parts, 1.0 / (block * block));
+    while (least < density && /* one that is as it should be may be a rounding above it */
+           zbufrandi_parts_incomplete(p, block, pixels, zbufrandi_pixel_wrong(&o, least)) > tolerance * 1.000001)
+        least *= 1.0625;
+    return zbufrandi_min(density, least);
 }
 
 static void zbufrandi_set_density(zbufrandi_picture *p) {
@@ -16672,7 +16701,7 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
         zbufrandi_recon_keys(r);
         if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED; /* keys are what they were before */
         p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
-            zbufrandi_parts_incomplete(p, pixels, zbufrandi_block_empty(density, block)));
+            zbufrandi_parts_incomplete(p, block, pixels, zbufrandi_pixel_wrong(&r->o, density)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
         /* a pixel covered with a margin expects 27 or more: with so few there is none, nearly all is rastered */
