@@ -16027,7 +16027,6 @@ static int zbufrandi_near_samples(const zbufrandi_picture *p, uint8_t *tile, uin
     return 0;
 }
 
-
 /* ---- where samples are, if they are few ---- */
 
 /* So many draws of samples are few: 1024, or one for so many pixels. To mark one takes as long as to look at ten. */
@@ -16700,7 +16699,8 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
             (void)zbufrandi_picture_for(p, zbufrandi_slope_task, p, r->canvas.height);
         zbufrandi_recon_keys(r);
         if (p->asker.cancelled) return ZBUFRAND_ERR_CANCELLED; /* keys are what they were before */
-        p->stats.incomplete = zbufrandi_min(1.0 - zbufrand_success_bound(density, pixels, block),
+        p->stats.incomplete = zbufrandi_min(
+            1.0 - zbufrand_success_bound(density, pixels, zbufrandi_pixel_window(&r->o)),
             zbufrandi_parts_incomplete(p, block, pixels, zbufrandi_pixel_wrong(&r->o, density)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
