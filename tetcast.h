@@ -145,7 +145,9 @@
    tetrahedra, vertices       2^31 - 3 each; coordinates up to 1e100; 65,536 fields
    transfer functions         2^20 control points, 65,536 isovalues; values below 1e38, colours, extinctions up to 1e18
    pictures                   2^31 tiles of 32 x 32 pixels; projected: 65,536 pixels a side. 2^41 rays in a call.
-                              Lengths on rays below 1e38: larger meshes absorb as those of that size
+                              Lengths on rays below 1e38: larger meshes absorb as those of that size. With
+                              TETCAST_MODEL_EMISSION or independent colours lengths times differences of values
+                              between knots (and extinctions, in EMISSION) below 1e37, else colours are any numbers
    lattices, bricks           2^20 nodes a side; 2^26 bricks, 6 levels
    refined grids              2^27 cells, 16 levels, 2^20 finest cells a side
    functions                  2^26, 4 components, 2^27 nodes of the base; 2^16 samples on a ray
@@ -1602,7 +1604,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
 /* ---- parts of pictures: putting them together, sending them ---- */
 
 /* front := front over back; premultiplied linear rgba, 4 floats a pixel, `pixels` of them: the ranges of depth of a
-   frame, nearest first. */
+   frame, nearest first. Sums of finite numbers are finite: 3.4e38 at most. */
 TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels);
 
 /* Fade the borders of a part whose neighbours show the same pixels (projectors side by side): `overlap` pixels on the
@@ -20439,13 +20441,15 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
    --------------------------------------------------------------------------- */
 
 TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels) {
+    const float most = 3.40282347e38f;
     size_t i;
+    uint32_t c;
     for (i = 0; i < pixels; i++, front += 4, back += 4) {
         const float t = 1.0f - front[3];
-        front[0] += t * back[0];
-        front[1] += t * back[1];
-        front[2] += t * back[2];
-        front[3] += t * back[3];
+        for (c = 0; c < 4; c++) {
+            const float v = front[c] + t * back[c];
+            front[c] = v > most ? most : v;
+        }
     }
 }
 

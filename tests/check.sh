@@ -950,7 +950,7 @@ group_fuzz() {
     [ -z "$FUZZ_EACH" ] || each=$FUZZ_EACH
     for f in "${names[@]}"; do
         if [ -n "$FUZZ_FIXED" ]; then
-            item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=10 -prefixes=20"
+            item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=10 -prefixes=10"
         elif [ $libfuzzer = 1 ]; then
             item "fuzz $f libfuzzer $each s" fuzz_libfuzzer $f $each
             item "fuzz $f standalone 2 s" fuzz_standalone $f -seconds=2

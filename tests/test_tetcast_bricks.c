@@ -4543,6 +4543,9 @@ TEST(depth_ranges_and_memory) {
         CHECK(e < 1e-3); /* colours: a segment is cut in two, and the field is not linear along it */
     }
     CHECK_MSG(worst < 1e-5, "%g", worst);
+    for (i = 0; i < 4; i++) near_part[i] = far_part[i] = i < 3 ? FLT_MAX : 0.5f; /* nothing becomes infinite, or NaN after that */
+    tetcast_over(near_part, far_part, 1);
+    CHECK(near_part[0] == FLT_MAX && near_part[1] == FLT_MAX && near_part[2] == FLT_MAX && near_part[3] == 0.75f);
     tetcast_cut_destroy(c);
     test_alloc_init(&ta);
     for (fail = 1; fail < 200; fail++) {
