@@ -142,7 +142,7 @@ install:
 	@set -e; for h in $(HEADERS); do n=$${h%.h}; cp $$h '$(DESTDIR)$(PREFIX)/include/'; \
 	  v=$$(for k in MAJOR MINOR PATCH; do sed -n "s/^# *define  *[A-Z]*_VERSION_$$k  *\([0-9]*\).*/\1/p" $$h; done | \
 	    tr '\n' . | sed 's/\.$$//'); \
-	  if [ -f $$n.pc.in ]; then sed -e 's|@PREFIX@|$(PREFIX)|g' -e "s|@VERSION@|$$v|g" $$n.pc.in \
+	  if [ -f $$n.pc.in ]; then sed -e 's|@INCLUDEDIR@|$(PREFIX)/include|g' -e "s|@VERSION@|$$v|g" $$n.pc.in \
 	    > '$(DESTDIR)$(PREFIX)/share/pkgconfig/'$$n.pc; fi; echo "installed $$h $$v"; done
 
 uninstall:

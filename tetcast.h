@@ -177,7 +177,8 @@
    All of it comes through desc.env: its allocator, else TETCAST_MALLOC, else malloc. An object keeps its allocator
    until it is destroyed. env.memory_limit bounds what one call and its results hold at once. When memory runs out a
    call frees what it had and returns TETCAST_ERR_NO_MEMORY. Objects are destroyed in any order, but a cut before its
-   bricks, on which it lies; optics have copies of what they need.
+   bricks, on which it lies; optics have copies of what they need. tetcast_params keep their limit for later calls;
+   gradients count with that of their mesh.
 
    THREADS
    A call uses env.thread_count threads (0: one per core; 1: never more than the caller's), started and joined within
@@ -541,8 +542,8 @@ typedef struct tetcast_mesh_info {
    Larger cells are cut so that each quadrilateral face is cut at its vertex of the smallest number: neighbours agree.
    The same mesh for any number of threads. Cost: O(cells), about 0.1 s for 10^6 tetrahedra on one core; holds 40 (lean)
    to 80 bytes a cell at its peak. Errors: INVALID_ARG, UNINIT_DESC, EMPTY (no cell, or none that can be used), RANGE
-   (more cells or vertices than TETCAST_MAX_*, 2^31 faces of the hull), TRUNCATED (fewer indices than the cells need),
-   FORMAT (strict), NO_MEMORY, CANCELLED. */
+   (more cells or vertices than TETCAST_MAX_*, 2^31 faces of the hull or columns of strips), TRUNCATED (fewer indices
+   than the cells need), FORMAT (strict), NO_MEMORY, CANCELLED. */
 TETCAST_DEF tetcast_result tetcast_mesh_create(const tetcast_mesh_desc *desc, const tetcast_input *input,
                                                tetcast_report *report, tetcast_mesh **out_mesh);
 

@@ -127,6 +127,7 @@
    triangles of a mesh        2^32 - 2 for trees and models; for columns as many as memory holds
    finishes of a tree         255
    colours of a palette       2^24; in the octree of the thesis 32767
+   colours of a tree          1 GB of indices, as a rule 0 to 2 bytes a cell; cells of all levels with one: 2^32 - 1
    threads                    64
    lights, geometry, rays     as many as memory holds
    stack                      less than 16 KB in one function, less than 96 KB in all
@@ -142,16 +143,16 @@
    VOXRT_NO_STDIO            no functions with file names, no <stdio.h>               off           yes
    VOXRT_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    VOXRT_NO_SIMD             scalar code only                                         off           code only
-   VOXRT_NO_AVX2             no AVX2                                                  off           code only
+   VOXRT_NO_AVX2             no AVX2, no AVX-512                                          off           code only
    VOXRT_NO_GI               no bit columns and no global illumination                off           yes
    VOXRT_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
    No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
 
    MEMORY
    All of it comes through desc.env: its allocator, else VOXRT_MALLOC, else malloc. An object keeps its allocator until
-   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Octrees and columns keep it,
-   too: later calls may make them larger up to it. voxrt_gi counts each of its volumes, and what belongs to it, for
-   itself.
+   it is destroyed. env.memory_limit bounds what one call and its results hold at once. Octrees, columns and
+   histories of light keep it, too: later calls may make them larger up to it. Models do not: each edit has the limit of
+   its own env. voxrt_gi counts each of its volumes, and what belongs to it, for itself.
    Tracing and voxrt_render allocate nothing. When memory runs out a call frees what it had and returns
    VOXRT_ERR_NO_MEMORY.
    Building holds 7 to 18 bytes a voxel at its peak, most with many colours, and up to some 20 a triangle
@@ -485,8 +486,9 @@ typedef struct voxrt_tree_info {
    The result depends on the triangles as a set, not on their order nor on threads. Cost: O(triangles + voxels);
    holds 7 to 18 bytes a voxel at its peak, most with many colours, and up to some 20 a triangle (stats->peak_bytes).
    Errors: INVALID_ARG (a bad finish, or one that is not there: error->where; planes or spread without normals),
-   UNINIT_DESC, RANGE (a field of desc, 2^32 - 1 triangles, more voxels than a tree may have), EMPTY (no usable
-   triangle, or none in the box), NO_MEMORY, CANCELLED; with strict FORMAT, error->where is the first bad triangle.
+   UNINIT_DESC, RANGE (a field of desc, 2^32 - 1 triangles, more voxels or colours than a tree may have), EMPTY (no
+   usable triangle, or none in the box), NO_MEMORY, CANCELLED; with strict FORMAT, error->where is the first bad
+   triangle.
    Thread safety: calls are independent.
    Source: Laine 2013 (6), Schwarz & Seidel 2010 (26), thesis 3.1.3 and 3.1.4. */
 VOXRT_DEF voxrt_result voxrt_tree_build(const voxrt_build_desc *desc, const voxrt_mesh *mesh, voxrt_build_stats *stats,
@@ -695,7 +697,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_octree(const voxrt_octree_desc *desc, con
                                               voxrt_tree **out_tree);
 
 VOXRT_DEF void voxrt_octree_destroy(voxrt_octree *octree); /* NULL is allowed */
-VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *octree, voxrt_octree_info *info); /* O(voxels) */
+VOXRT_DEF void voxrt_octree_get_info(const voxrt_octree *octree, voxrt_octree_info *info); /* O(voxels); NULL: zero */
 
 /* The voxels as they are in memory: voxel 0 is the root, 1..7 are unused, then blocks of 8. A child's block has a
    higher number than its parent's. The palette: 3 sRGB bytes for each colour. Owned by the octree; valid until it is
@@ -863,7 +865,7 @@ VOXRT_DEF voxrt_result voxrt_tree_map_memory(const voxrt_load_desc *desc, const 
 /* As the memory functions; ERR_IO when the file cannot be read or written. Save writes to `path` with ".part" behind
    it and renames when all is written, so that a file is complete or not there; it takes the place of what had the name,
    be that a link or, with the right to do so, a device. Both hold the whole file meanwhile, but for one in pages; load
-   up to three times as much while it reads. */
+   up to three times as much of what has no size before it ends, such as a pipe. */
 VOXRT_DEF voxrt_result voxrt_tree_save_file(const voxrt_tree *tree, const voxrt_save_desc *desc, const char *path);
 VOXRT_DEF voxrt_result voxrt_tree_load_file(const voxrt_load_desc *desc, const char *path, voxrt_tree **out_tree);
 #endif
@@ -1121,7 +1123,7 @@ VOXRT_DEF voxrt_result voxrt_model_create(const voxrt_model_desc *desc, voxrt_mo
 VOXRT_DEF voxrt_result voxrt_model_from_tree(const voxrt_env *env, const voxrt_tree *tree, voxrt_model **out_model);
 
 /* A tree of what is in a model. desc may be NULL; palette, level of detail, colours, normals and spread count, the rest
-   comes from the model. O(voxels). Errors: INVALID_ARG (also a field of desc that does not count), UNINIT_DESC, EMPTY,
+   comes from the model. O(voxels). Errors: INVALID_ARG (also a value that is none, in any field), UNINIT_DESC, EMPTY,
    RANGE, NO_MEMORY, CANCELLED. Thread safety: any number of calls on one model. */
 VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const voxrt_model *model,
                                              voxrt_tree **out_tree);
@@ -1132,7 +1134,7 @@ VOXRT_DEF voxrt_result voxrt_tree_from_model(const voxrt_build_desc *desc, const
 VOXRT_DEF voxrt_result voxrt_model_copy(const voxrt_env *env, const voxrt_model *model, voxrt_model **out_model);
 
 VOXRT_DEF void voxrt_model_destroy(voxrt_model *model); /* NULL is allowed */
-VOXRT_DEF void voxrt_model_get_info(const voxrt_model *model, voxrt_model_info *info);
+VOXRT_DEF void voxrt_model_get_info(const voxrt_model *model, voxrt_model_info *info); /* O(blocks); NULL: all zero */
 
 /* As voxrt_tree_get: any cell of any level. O(depth). Any thread, but not during an edit. */
 VOXRT_DEF int voxrt_model_get(const voxrt_model *model, uint32_t level, uint32_t x, uint32_t y, uint32_t z,
@@ -1304,7 +1306,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
 
 /* Draw.
    desc    in, NULL: all defaults
-   tree    in, NULL: only desc->geometry
+   tree    in, NULL: only desc->geometry, without which that is INVALID_ARG
    image   buffers in and out; with more than one sample depth, normal and hit are those of sample 0, and they are
            left alone when first_sample > 0, and by views of heat. A width or height of 0 is allowed
    stats   may be NULL; counting costs a little
@@ -1430,7 +1432,8 @@ typedef struct voxrt_columns_info {
    O(columns). */
 VOXRT_DEF voxrt_result voxrt_columns_create(const voxrt_columns_desc *desc, voxrt_columns **out_columns);
 VOXRT_DEF void voxrt_columns_destroy(voxrt_columns *columns); /* NULL is allowed */
-VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_columns_info *info); /* O(columns) */
+/* O(columns); columns NULL: all zero */
+VOXRT_DEF void voxrt_columns_get_info(const voxrt_columns *columns, voxrt_columns_info *info);
 
 /* Set the cells of a mesh. Positions and indices of `mesh` count; triangles with a NaN, infinite or missing vertex are
    left out and counted. The set does not depend on their order nor on threads.
@@ -1690,9 +1693,9 @@ typedef enum voxrt_gi_lookup { /* the light of lamps where a ray hits */
 /* What the pictures before this one know. One for each sequence of pictures of one scene and of one size; it notices
    what it may keep: while camera, scene and settings are the same it is the mean of all of them; where the camera or an
    object moves it follows and fades; where only light changes it starts anew, with the same rays, so that noise does
-   not flicker. */
+   not flicker. Its memory comes with pictures, within the limit of this env. Errors: INVALID_ARG, NO_MEMORY. */
 typedef struct voxrt_gi_history voxrt_gi_history;
-VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history); /* NO_MEMORY */
+VOXRT_DEF voxrt_result voxrt_gi_history_create(const voxrt_env *env, voxrt_gi_history **out_history);
 VOXRT_DEF void voxrt_gi_history_destroy(voxrt_gi_history *history); /* NULL is allowed */
 
 typedef struct voxrt_gi_report {

@@ -310,7 +310,7 @@ typedef enum zbufrand_isa {
     ZBUFRAND_ISA_SCALAR = 1,
     ZBUFRAND_ISA_SSE = 2,
     ZBUFRAND_ISA_AVX2 = 3,
-    ZBUFRAND_ISA_AVX512 = 4,
+    ZBUFRAND_ISA_AVX512 = 4, /* as AVX2: nothing here has more */
     ZBUFRAND_ISA_FORCE_32BIT = 0x7fffffff
 } zbufrand_isa;
 
@@ -635,7 +635,7 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
                         pixels from a sample
    gauss_radius         2 (3 in squares of 2), or block if that is more: c of exp(-(1.5 r / c)^2), a standard deviation
                         of 0.471 c; pixels, at most 256
-   gauss_support        1: cut off at |dx|, |dy| >= support * c; the Gaussian is 0.105 at 1 and 0.006 at 1.5
+   gauss_support        1, up to 1.5: cut off at |dx|, |dy| >= support * c; the Gaussian is 0.105 at 1 and 0.006 at 1.5
    tolerance            cells and squares keep only the nearest. t: also samples up to (1 + t) times as deep
    tolerance_projected  the same on f z / (f + z), f = focal, as in the thesis: up to this value deeper
    focal                1, for tolerance_projected
@@ -1275,8 +1275,8 @@ ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *d
    at once. Colours of lights, ambient and background are within -1e12 and 1e12, so that no pixel overflows.
    O(samples + pixels + nodes of the trees that are opened).
    Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, more than 2^32 samples or 65535 lights,
-   a block too large), NO_MEMORY, CANCELLED (the picture is incomplete then). Source: thesis; Wand et al. 2001;
-   occlusion after Greene et al. 1993. */
+   a block or a Gaussian too large), NO_MEMORY, CANCELLED (the picture is incomplete then).
+   Source: thesis; Wand et al. 2001; occlusion after Greene et al. 1993. */
 ZBUFRAND_DEF zbufrand_result zbufrand_render(zbufrand_frame *frame, const zbufrand_render_desc *desc,
                                              const zbufrand_scene *scene, const zbufrand_image *image,
                                              zbufrand_stats *stats);

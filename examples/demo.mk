@@ -25,10 +25,10 @@ $(VOX)/torus-2009.vox: $(B)/voxrt_convert
 $(VOX)/torus.vox: $(B)/voxrt_convert
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene torus --detail 128 $@ --quiet --res 512
 
-# A ball that was filled, painted and cut open.
 $(VOX)/torus-planes.vox: $(B)/voxrt_convert
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene torus --detail 128 $@ --quiet --res 64 --planes
 
+# A ball that was filled, painted and cut open.
 $(VOX)/planet.vox: $(B)/voxrt_convert examples/planet.txt
 	@mkdir -p $(@D); echo "$@"; $(B)/voxrt_convert --scene sphere --detail 128 $@ --quiet --res 256 --fill --edit examples/planet.txt
 
@@ -190,7 +190,7 @@ $(G)/tetcast_rbf_ball.png: $(RBF)/ball.rbf
 
 GALLERY += $(G)/tetcast_rbf_tornado.png $(G)/tetcast_rbf_traces.png $(G)/tetcast_rbf_ball.png
 
-# Bricks: as fine as an error of 2 % asks for; and finest at one place, coarser away from it.
+# Bricks: as fine as an error of 4 % asks for; and finest at one place, coarser away from it.
 $(G)/tetcast_bricks.png: $(B)/tetcast_bricks
 	@mkdir -p $(G)/bricks; echo "$@"; $(B)/tetcast_bricks resample --scene fins $(G)/bricks/fins.brk --max-error 0.04 --longest-end 257 --quiet && \
 	  $(B)/tetcast_bricks render $(G)/bricks/fins.brk $(NIGHT) --tf hot --out $@ --quiet

@@ -410,13 +410,18 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     set_defaults(o);
     o->max_error = 0.0;
     n = sup_common_options(&o->common, table);
+    sup_option_help(table, n, "size", "pixels of the picture (1024x768)");
+    sup_option_help(table, n, "seed", "changes nothing: no ray is random");
+    sup_option_help(table, n, "tolerance", "largest error of a colour in units of 1/255 (exact)");
+    sup_option_help(table, n, "unlit", "changes nothing: volumes have no lights, but --shader lit");
     o->common.size[0] = 1024;
     o->common.size[1] = 768;
-    table[n++] = sup_opt_positional("IN", &o->in, 0, ".brk, or a grid (VTK, or bytes with --dims)");
+    table[n++] = sup_opt_positional("IN", &o->in, 0, ".brk, a grid (VTK, or bytes with --dims), a mesh, or a plotfile");
     n += input_options(o, table + n);
     table[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (rainbow)");
     table[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions");
-    table[n++] = sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum", "what light does in it (volume)");
+    table[n++] = sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum",
+                                "what light does in it (volume; with --iso: iso, with --iso and --tf: mixed)");
     table[n++] = sup_opt_given(sup_opt_real("iso", &o->iso, -1e38, 1e38, "V", "show the surface of this value"), &o->has_iso);
     table[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of it (1)");
     table[n++] = sup_opt_choice("shader", &o->shader, SUP_SHADERS, "lit: a shader of this program, lit by gradients");
@@ -446,6 +451,7 @@ static int parse_render(int argc, char **argv, options *o, tetcast_brick_render_
     if (status >= 0) return status;
     if (o->paint && (o->shader || o->model || o->has_iso || o->reference))
         return sup_bad_usage(argv[0], "--paint goes without --shader, --model, --iso and --reference");
+    if (o->reference && sup_out_is_linear(&o->common)) return sup_bad_usage(argv[0], "--reference: pictures side by side are .png");
     if (o->overlap && (!o->tile || o->common.depth || 2 * o->overlap > (int64_t)o->common.size[0] ||
                        2 * o->overlap > (int64_t)o->common.size[1]))
         return sup_bad_usage(argv[0], "--overlap: at most half of the picture, with --tiles, without --depth");
@@ -910,6 +916,7 @@ static double paint_values(const float *values, size_t count, float least, float
 }
 
 static int slice(int argc, char **argv) {
+    static const char *const unused[] = {"seed", "tolerance", "isa", "quiet", "unlit"};
     sup_option table[SUP_COMMON_OPTIONS + 20];
     tetcast_error error = {TETCAST_OK, 0, ""};
     tetcast_env env;
@@ -933,6 +940,10 @@ static int slice(int argc, char **argv) {
     memset(&section, 0, sizeof section);
     memset(&camera, 0, sizeof camera);
     n = sup_common_options(&o.common, table);
+    sup_option_help(table, n, "out", "picture to write: .png (a rainbow) or .pfm (the values, NaN where there is none)");
+    sup_option_help(table, n, "depth", "a plane has none");
+    sup_option_help(table, n, "size", "pixels of the picture (1024x768)");
+    for (size_t k = 0; k < sizeof unused / sizeof unused[0]; k++) sup_option_help(table, n, unused[k], "changes nothing here");
     o.common.size[0] = 1024;
     o.common.size[1] = 768;
     o.normal[2] = 1.0f;
@@ -947,7 +958,10 @@ static int slice(int argc, char **argv) {
     if (status >= 0) return status;
     if (!o.in == !o.scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
     if (!(fabsf(o.normal[0]) + fabsf(o.normal[1]) + fabsf(o.normal[2]) > 0.0f)) return sup_bad_usage(argv[0], "--normal: no direction");
+    if (o.common.depth) return sup_bad_usage(argv[0], "--depth: a plane has none");
     if (!o.common.out && !o.section) return sup_bad_usage(argv[0], "--out or --section has to be given");
+    if (o.common.out) status = sup_out_check(argv[0], &o.common);
+    if (status >= 0) return status;
     is_bricks = o.in ? sup_name_ends(o.in, ".brk") || sup_amr_is(o.in) : strcmp(o.scene, "blast") == 0;
     if (is_bricks && o.section) return sup_bad_usage(argv[0], "--section: of meshes");
     env.thread_count = (uint32_t)o.common.threads;
@@ -988,7 +1002,9 @@ static int slice(int argc, char **argv) {
     seconds = sup_now() - start;
     if (!status) covered = paint_values(values, pixel_count, least, most, pixels);
     if (!status && o.section) status = write_section(o.section, &section, &err);
-    if (!status && o.common.out) status = sup_png_write8(o.common.out, pixels, o.common.size[0], o.common.size[1], 4, &err);
+    if (!status && o.common.out && sup_out_is_linear(&o.common))
+        status = sup_pfm_write(o.common.out, values, o.common.size[0], o.common.size[1], 1, &err);
+    else if (!status && o.common.out) status = sup_png_write8(o.common.out, pixels, o.common.size[0], o.common.size[1], 4, &err);
     if (!status && o.common.stats) {
         printf("{\"program\":\"tetcast_bricks\",\"command\":\"slice\",\"in\":");
         sup_json_string(stdout, o.in ? o.in : o.scene);

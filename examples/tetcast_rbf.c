@@ -46,10 +46,10 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_positional("IN", &o->in, 1, "fit: a volume (.vtk, .inp, .msh, .node, PLOT3D), \"tornado\" or one of "
                                 SUP_VOLUME_SCENES "; else an .rbf file");
     t[n++] = sup_opt_positional("OUT", &o->out, 0, "fit: the .rbf, decode: the .brk file");
-    t[n++] = sup_opt_real("max-error", &o->max_error, 1e-6, 1.0, "E", "fit: largest error at the points; decode: of the bricks; share of the range");
+    t[n++] = sup_opt_real("max-error", &o->max_error, 1e-6, 1.0, "E", "fit: largest error at the points; decode: of the bricks; share of the range (0.05)");
     t[n++] = sup_opt_real("mean-error", &o->mean_error, 0.0, 1.0, "E", "fit: mean error (any)");
     t[n++] = sup_opt_text("field", &o->field, "NAME", "fit: the field (the first one)");
-    t[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "fit: how fine a generated volume is (32)");
+    t[n++] = sup_opt_int("detail", &o->detail, 0, 512, "N", "fit: how fine a generated volume is (32; ball and ring 48, fins 24)");
     t[n++] = sup_opt_choice("method", &o->method, "hybrid|pure", "fit: with a coarse grid, or functions only");
     t[n++] = sup_opt_int("base", &o->base, 2, 512, "N", "fit: nodes of the coarse grid along each side (by trial)");
     t[n++] = sup_opt_flag("between", &o->between, "fit: keep the error in the middles of cells as well");
@@ -61,7 +61,7 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_text("tf", &o->tf, "FILE|" SUP_TRANSFER_NAMES, "transfer function (a rainbow that shows what is rare)");
     t[n++] = sup_opt_real("extinction", &o->scale, 1e-9, 1e9, "F", "multiplies all extinctions");
     t[n++] = sup_opt_given(sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum|iso|mixed",
-                                          "what light does in it (volume; with --iso: iso)"), &o->has_model);
+                                          "what light does in it (volume; with --iso: iso, with --iso and --tf: mixed)"), &o->has_model);
     t[n++] = sup_opt_given(sup_opt_real("iso", &o->iso, -1e38, 1e38, "V", "show the surface of this value"), &o->has_iso);
     t[n++] = sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surface (1)");
     t[n++] = sup_opt_choice("channel", &o->channel, "auto|component|length|vorticity|lambda2|helicity",
@@ -79,14 +79,16 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_int("longest", &o->longest, 2, 16385, "N", "decode: nodes along the longest side (what the error needs)");
     t[n++] = sup_opt_int("longest-end", &o->longest_end, 2, 16385, "N", "decode: no more than that (513)");
     t[n++] = sup_opt_choice("storage", &o->storage, "f16|f32|u16|u8", "decode: how values are stored (f16)");
-    t[n++] = sup_opt_int("seeds", &o->seeds, 1, 1000000, "N", "trace: particles");
-    t[n++] = sup_opt_int("steps", &o->steps, 1, 1000000, "N", "trace: steps of each");
+    t[n++] = sup_opt_int("seeds", &o->seeds, 1, 1000000, "N", "trace: particles (110)");
+    t[n++] = sup_opt_int("steps", &o->steps, 1, 1000000, "N", "trace: steps of each (400)");
     t[n++] = sup_opt_real("dt", &o->dt, -1e30, 1e30, "T", "trace: time of a step (1/200 of the box at the greatest speed)");
     t[n++] = sup_opt_choice("stepper", &o->stepper, "rk4|euler|dopri5",
                             "trace: Runge-Kutta, the thesis' way, or as many steps within dt as --tolerance asks for");
-    for (size_t i = 0; i < n; i++)
-        if (strcmp(t[i].name, "tolerance") == 0)
-            t[i].help = "render: colour error in units of 1/255 (0); trace: of a step of dopri5, a length (1e-6 of the diagonal)";
+    sup_option_help(t, n, "size", "pixels of the picture (1024x768)");
+    sup_option_help(t, n, "seed", "trace: random seed");
+    sup_option_help(t, n, "tolerance", "render: colour error in units of 1/255 (0); trace: of a step of dopri5, a length (1e-6 of the diagonal)");
+    sup_option_help(t, n, "quiet", "no progress and no warnings");
+    sup_option_help(t, n, "unlit", "changes nothing: volumes have no lights");
     status = sup_cli_parse(argc, argv, "Encodes volumes as radial basis functions and looks at them.", t, n);
     if (status >= 0) return status;
     o->command = sup_parse_choice(command, COMMANDS);

@@ -83,6 +83,11 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     o->light[2] = 0.3f;
     o->scale = 1.0;
     n = sup_common_options(&o->common, table);
+    sup_option_help(table, n, "size", "pixels of the picture (1024x768)");
+    sup_option_help(table, n, "seed", "changes nothing: no ray is random");
+    sup_option_help(table, n, "tolerance", "largest error of a colour in units of 1/255 (exact)");
+    sup_option_help(table, n, "quiet", "no progress and no warnings");
+    sup_option_help(table, n, "unlit", "changes nothing: volumes have no lights");
     o->common.size[0] = 1024;
     o->common.size[1] = 768;
     table[n++] = sup_opt_positional("MESH", &o->in, 0, ".vtk, .inp, .msh, .node, .ele, or PLOT3D with its Q file");
@@ -108,7 +113,7 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
         sup_opt_real("iso-opacity", &o->opacity, 0.0, 1.0, "A", "of the surfaces (one: 1, several: 0.6)"), &o->has_opacity);
     table[n++] = sup_opt_flag("smooth", &o->smooth, "smooth normals on the surfaces");
     table[n++] = sup_opt_given(sup_opt_choice("model", &o->model, "volume|emission|absorption|maximum|iso|mixed",
-                                              "what light does in it (volume; with --iso: iso)"), &o->has_model);
+                                              "what light does in it (volume; with --iso: iso, with --iso and --tf: mixed)"), &o->has_model);
     table[n++] = sup_opt_choice("integrator", &o->integrator,
                                 "exact|psi|riemann|trapezoid|midpoint|pre|prefix|table|incremental|subrange|table2d|"
                                 "table-prefix", "how a segment is integrated (exact)");
@@ -127,7 +132,7 @@ static int parse(int argc, char **argv, options *o, tetcast_render_desc *desc) {
     table[n++] = sup_opt_given(sup_opt_vec3("cut", o->cut, "keep what lies this way from the middle"), &o->has_cut);
     table[n++] = sup_opt_choice("shader", &o->shader, SUP_MESH_SHADERS, "shaders of this program; lit: by gradients, "
                              "shadow: by --light through the volume, slow");
-    table[n++] = sup_opt_given(sup_opt_vec3("light", o->light, "where the light of --shader shadow is (0.4,1,0.3)"),
+    table[n++] = sup_opt_given(sup_opt_vec3("light", o->light, "direction towards the light of --shader shadow (0.4,1,0.3)"),
                                &o->has_light);
     table[n++] = sup_opt_real("ortho", &o->ortho, 0.0, 1e30, "H", "parallel rays; height of the picture in the volume");
     table[n++] = sup_opt_flag("cue", &o->cue, "what is farther away is darker");

@@ -106,8 +106,12 @@ static int parse(int argc, char **argv, gi_options *o) {
     o->keep = -1;
     o->exposure = 1.0;
     n = sup_common_options(&o->common, table);
-    for (size_t i = 0; i < n; i++)
-        if (strcmp(table[i].name, "tolerance") == 0) table[i].help = "noise of indirect light as a share of it; --rays, if given, are the most";
+    sup_option_help(table, n, "size", "pixels of the picture (768x512)");
+    sup_option_help(table, n, "eye", "where the camera is (the scene's)");
+    sup_option_help(table, n, "at", "where it looks (the scene's)");
+    sup_option_help(table, n, "up", "what is up (the scene's)");
+    sup_option_help(table, n, "fov", "vertical angle of view, degrees (the scene's)");
+    sup_option_help(table, n, "tolerance", "noise of indirect light as a share of it; --rays, if given, are the most");
     o->common.size[0] = 768;
     o->common.size[1] = 512;
     table[n++] = sup_opt_text("scene", &o->scene, "cornell|atrium|FILE", "generated; a scene file; or a mesh file, which stands on a plane (cornell)");
@@ -122,19 +126,21 @@ static int parse(int argc, char **argv, gi_options *o) {
     table[n++] = sup_opt_given(sup_opt_int("rays", &o->rays, 1, 65536, "N", "rays over the hemisphere of a pixel, or virtual lights (64)"), &o->has_rays);
     table[n++] = sup_opt_int("bounces", &o->bounces, 1, 64, "N", "how often light is followed (3)");
     table[n++] = sup_opt_real("radius", &o->radius, 0.0, 1e9, "R", "length of the rays, world units (all)");
-    table[n++] = sup_opt_int("filter", &o->filter, 0, 64, "R", "radius of the filter of indirect light in pixels, 0: none (3)");
+    table[n++] = sup_opt_int("filter", &o->filter, 0, 64, "R",
+                             "radius of the filter of indirect light in samples, of which --aa says how many a pixel has; 0: none (3)");
     table[n++] = sup_opt_real("relief", &o->relief, 0.0, 1.0, "A", "indirect light darker where surfaces lean away, for strong filters (0)");
     table[n++] = sup_opt_int("shadow-filter", &o->shadow_filter, 0, 64, "R", "the same for direct light: soft shadows (0)");
-    table[n++] = sup_opt_int("coarse", &o->coarse, 1, 16, "N", "one of N x N pixels sends rays where light is smooth: 1, 2, 4, 8 or 16 (1)");
+    table[n++] = sup_opt_int("coarse", &o->coarse, 1, 16, "N", "one of N x N samples sends rays where light is smooth: 1, 2, 4, 8 or 16 (1)");
     table[n++] = sup_opt_int("keep", &o->keep, 0, 1000, "N", "pictures that each one remembers, 0: none (0; 16 if frames move)");
     table[n++] = sup_opt_real("budget", &o->budget, 0.0, 1e6, "MS", "time for a frame: rays and --coarse are chosen, --rays are the most");
-    table[n++] = sup_opt_int("pattern", &o->pattern, 1, 16, "N", "vpl: N x N pixels share the lights (4)");
+    table[n++] = sup_opt_int("pattern", &o->pattern, 1, 16, "N", "vpl: N x N samples share the lights (4)");
     table[n++] = sup_opt_real("d-min", &o->d_min, 0.0, 1e9, "A", "vpl: the thesis' bound, an area; 0: bound and compensation (0)");
     table[n++] = sup_opt_int("aa", &o->aa, 1, 16, "N", "samples a pixel: 1, 4, 9 or 16 (4)");
     table[n++] = sup_opt_int("grid", &o->grid, 16, 2048, "N", "columns along each side, a power of two (256)");
     table[n++] = sup_opt_int("depth-cells", &o->depth, 64, 256, "N", "cells of a column: 64, 128 or 256 (128; 256 if --grid is more than 256)");
     table[n++] = sup_opt_int("nested", &o->nested, 1, 8, "N", "volumes around the camera, each twice as wide (1: one around the scene)");
-    table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N", "voxels along the longest side of an object that the camera sees (1024; atrium 4096)");
+    table[n++] = sup_opt_int("res", &o->res, 16, 8192, "N",
+                             "voxels along the longest side of an object that the camera sees (1024; what moves 512; the hall of the atrium 4096)");
     table[n++] = sup_opt_choice("tone", &o->tone, "linear|log|drago", "tone mapping");
     table[n++] = sup_opt_real("exposure", &o->exposure, 1e-6, 1e6, "E", "brightness, times the scene's own (1)");
     table[n++] = sup_opt_choice("view", &o->view, "picture|direct|indirect|voxels|cubes|lights|lookup|steps",
@@ -403,7 +409,7 @@ static int pose(world *w, const gi_options *o, double t, sup_error *err) {
     if (o->common.has_eye) memcpy(w->camera.eye, o->common.camera.eye, sizeof w->camera.eye);
     if (o->common.has_at) memcpy(w->camera.at, o->common.camera.at, sizeof w->camera.at);
     if (o->common.has_up) memcpy(w->camera.up, o->common.camera.up, sizeof w->camera.up);
-    if (o->common.fov != 40.0) w->camera.fov_y = (float)o->common.fov;
+    if (o->common.has_fov) w->camera.fov_y = (float)o->common.fov;
     return 0;
 }
 
@@ -506,7 +512,7 @@ static int write_scene(world *w, const gi_options *o, sup_error *err) {
         }
         if (o->common.has_eye) c->path = -1;
         if (o->common.has_at) c->at_path = -1;
-        if (o->common.fov != 40.0) c->fov = o->common.fov;
+        if (o->common.has_fov) c->fov = o->common.fov;
         for (size_t i = 0; i < s->thing_count; i++) {
             sup_gi_thing *t = &s->things[i];
             if (o->has_voxels && !t->voxels) t->voxels = o->voxels + 1;
@@ -1011,14 +1017,15 @@ int main(int argc, char **argv) {
     w.name = o.scene;
     status = make_world(&w, &o, &err);
     if (!status) status = write_scene(&w, &o, &err);
-    draws = o.common.out != NULL || o.common.stats;
+    draws = o.common.out != NULL || o.common.depth != NULL || o.common.stats;
     if (!status && draws && make_buffers(&o, &w, side, &b)) status = sup_fail(&err, "out of memory for the picture");
     for (int64_t f = o.first; f < o.frames && draws && !status; f++) {
         for (int64_t k = 0; k < o.still && !status; k++)
             status = draw(&w, &o, &b, w.scene.seconds * (double)f / (double)o.frames, f == o.first && k == 0, &spent, &err);
-        if (status || o.common.out == NULL) continue;
-        (void)sup_frame_path(o.common.out, f, o.frames - o.first, path, sizeof path);
-        status = write_frame(&o, &b, side, path, &err);
+        if (!status && o.common.out != NULL) {
+            (void)sup_frame_path(o.common.out, f, o.frames - o.first, path, sizeof path);
+            status = write_frame(&o, &b, side, path, &err);
+        }
         if (!status && o.common.depth != NULL && f + 1 == o.frames) status = write_depth(&o, &w, &b, side, o.common.depth, &err);
     }
     if (status) (void)sup_bad_input(argv[0], err.text);

@@ -76,6 +76,10 @@ static int collect_lights(int argc, char **argv, render_options *o) {
 /* Writes the options into a table of room for all, and what they are if nobody says so; returns how many there are. */
 static size_t option_table(render_options *o, sup_option *table) {
     size_t n = sup_common_options(&o->common, table);
+    sup_option_help(table, n, "size", "pixels of the picture (1312x640)");
+    sup_option_help(table, n, "seed", "changes nothing: no ray is random");
+    sup_option_help(table, n, "tolerance", "how wide a voxel may be, in pixels (0.5; with --lod object 1)");
+    sup_option_help(table, n, "quiet", "no progress and no warnings");
     o->samples = 1;
     o->frames = 1;
     o->bounces = 8;

@@ -85,6 +85,10 @@ static void paint_triangles(void *user, const zbufrand_surface *s, size_t count,
 /* Writes the options into a table of room for OPTIONS; returns how many there are. */
 static size_t option_table(options *o, sup_option *table) {
     size_t n = sup_common_options(&o->common, table);
+    sup_option_help(table, n, "size", "pixels of the picture (1312x640)");
+    sup_option_help(table, n, "fov", "vertical angle of view, degrees (40, or that of the view)");
+    sup_option_help(table, n, "tolerance", "probability that a picture is incomplete (0.05)");
+    sup_option_help(table, n, "quiet", "no progress and no warnings");
     table[n++] = sup_opt_text("scene", &o->scene, "forest|city|chess|landscape|FILE", "what to draw; FILE is a mesh");
     table[n++] = sup_opt_given(sup_opt_choice("mode", &o->mode, "pixel|blocks|gauss|voronoi|nodepth|pullpush|regions|layers",
                                               "from samples to pixels (pixel)"), &o->has_mode);
@@ -99,7 +103,8 @@ static size_t option_table(options *o, sup_option *table) {
     table[n++] = sup_opt_real("density", &o->density, 1e-3, 1e4, "L", "samples per pixel instead of --tolerance");
     table[n++] = sup_opt_given(sup_opt_choice("occlusion", &o->occlusion, "blocks|cells|squares|squares-all",
                                               "which samples count as seen"), &o->has_occlusion);
-    table[n++] = sup_opt_given(sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C", "radius of the Gaussian in pixels (2, or D)"), &o->has_gauss);
+    table[n++] = sup_opt_given(sup_opt_real("gauss", &o->gauss, 0.1, 256.0, "C",
+                                            "radius of the Gaussian in pixels (2, or D; 3 in squares of 2)"), &o->has_gauss);
     table[n++] = sup_opt_flag("no-repair", &o->no_repair, "no rays for empty and suspicious pixels");
     table[n++] = sup_opt_flag("no-occlusion", &o->no_occlusion, "draw what is hidden, too");
     table[n++] = sup_opt_flag("independent", &o->independent, "independent samples instead of stratified ones");
@@ -131,7 +136,7 @@ static size_t option_table(options *o, sup_option *table) {
     table[n++] = sup_opt_int("buckets", &o->buckets, 1, 22, "B", "... whose depths are as good as equal within 2^-B of the depth");
     table[n++] = sup_opt_flag("paint-triangles", &o->paint_triangles, "each triangle in a colour of its own, stored points grey");
     table[n++] = sup_opt_flag("strict", &o->strict, "degenerate triangles are an error");
-    table[n++] = sup_opt_int("memory", &o->memory, 1, 1 << 20, "MB", "most memory of the scene, and of drawing it");
+    table[n++] = sup_opt_int("memory", &o->memory, 1, 1 << 20, "MIB", "most memory of the scene, and of drawing it");
     table[n++] = sup_opt_real("leaf-ratio", &o->leaf_ratio, 1.0, 1e6, "R", "thesis' trees: how much wider than its largest object a leaf may be");
     table[n++] = sup_opt_flag("measure-costs", &o->measure_costs,
                               "what raster and samples cost on this machine decides; pictures differ between machines then");
@@ -320,7 +325,7 @@ static void set_camera(const options *o, const sup_world *world, const zbufrand_
     if (view < world->view_count && !o->common.has_eye && !o->common.has_at) {
         memcpy(framed.eye, world->views[view].eye, sizeof framed.eye);
         memcpy(framed.at, world->views[view].at, sizeof framed.at);
-        framed.fov = world->views[view].fov;
+        if (!o->common.has_fov) framed.fov = world->views[view].fov;
     }
     for (int k = 0; k < 3; k++) {
         camera->eye[k] = (double)framed.eye[k];
@@ -563,6 +568,8 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
                         const zbufrand_costs *costs, const pictures *p) {
     static const char *const stages[ZBUFRAND_STAGE_COUNT] = {"select", "draw", "occlusion", "repair", "shade"};
     const zbufrand_stats *s = &p->stats;
+    const zbufrand_isa best = zbufrand_isa_best();
+    zbufrand_isa wanted = (zbufrand_isa)o->common.isa;
     printf("{\"program\":\"zbufrand_render\",\"in\":");
     sup_json_string(stdout, o->scene);
     printf(",\"width\":%u,\"height\":%u,\"triangles\":%llu,\"stored_triangles\":%llu,\"bytes\":%llu", p->image.width,
@@ -594,8 +601,9 @@ static void print_stats(const options *o, const zbufrand_scene_info *info, const
     for (int k = 0; k < ZBUFRAND_STAGE_COUNT; k++) printf("%s\"%s\":%.6f", k ? "," : "", stages[k], s->seconds[k]);
     printf("},\"eye\":[%.9g,%.9g,%.9g],\"at\":[%.9g,%.9g,%.9g]", camera->eye[0], camera->eye[1], camera->eye[2],
            camera->at[0], camera->at[1], camera->at[2]);
+    if (wanted == ZBUFRAND_ISA_AUTO || wanted > best) wanted = best;
     printf(",\"seconds\":%.6f,\"isa\":\"%s\",\"threads\":%d}\n", p->seconds,
-           zbufrand_isa_name(o->common.isa ? (zbufrand_isa)o->common.isa : zbufrand_isa_best()),
+           zbufrand_isa_name(wanted),
            sup_threads(o->common.threads));
 }
 

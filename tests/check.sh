@@ -581,6 +581,9 @@ EXITS="
 2 tetcast_render --scene lattice --out @/bad.png --shader shadow --model emission
 2 tetcast_bricks
 2 tetcast_bricks render --out @/bad.png
+2 tetcast_bricks render --scene ball --reference ball --out @/bad.pfm
+2 tetcast_bricks slice --scene ball --out @/bad.bmp
+2 tetcast_bricks slice --scene ball --out @/bad.png --depth @/bad.pfm
 2 tetcast_rbf
 2 tetcast_rbf render @/ball.rbf --inside ball --half 1,0,0 --out @/bad.png
 2 tetcast_rbf render @/garbage.rbf
@@ -638,6 +641,19 @@ bricks_options() { # --average, --focus, --view of tetcast_bricks against what t
     done
     for i in "" -2 -3; do cmp "$d/n1$i.png" "$d/n3$i.png" || { echo "MPI, frame ${i#-}: processes"; bad=1; }; done
     cmp -s "$d/n1.png" "$d/n1-2.png" && { echo "MPI: the second frame is the first"; bad=1; }
+    return $bad
+}
+files_and_views() { # a depth without a picture, values of a plane, the angle of a camera that the scene brings along
+    local d=$OUT/obj/files bad=0 f
+    rm -rf "$d"; mkdir -p "$d"
+    build/voxrt_gi --scene cornell --depth "$d/depth.pfm" --size 32x24 --aa 1 --rays 4 --quiet && [ "$(wc -c < "$d/depth.pfm")" -gt 3072 ] || { echo "voxrt_gi --depth"; bad=1; }
+    build/tetcast_bricks slice --scene fins --out "$d/plane.pfm" --size 32x24 && [ "$(head -n 1 "$d/plane.pfm")" = Pf ] || { echo "slice: values"; bad=1; }
+    for f in "" "--fov 10"; do
+        build/zbufrand_render --scene chess --size 32x24 --quiet --out "$d/chess$f.png" $f &&
+            build/voxrt_gi --scene cornell --size 32x24 --aa 1 --rays 4 --quiet --out "$d/cornell$f.png" $f || bad=1
+    done
+    for f in chess cornell; do cmp -s "$d/$f.png" "$d/$f--fov 10.png" && { echo "$f: --fov changes nothing"; bad=1; }; done
+    build/voxrt_gi --scene cornell --size 32x24 --aa 1 --rays 4 --quiet --fov 38 --out "$d/same.png" && cmp "$d/same.png" "$d/cornell.png" || bad=1
     return $bad
 }
 fuzz_bounds() { # 10^8 points of surfaces below the bounds that decide how many samples there are
@@ -701,6 +717,7 @@ group_programs() {
     solo "programs benches" make -j"$JOBS" B="$OUT/benches" OPT=-O1 benches # not those that are to be fast
     solo "programs exit statuses" exit_statuses
     [ -f tetcast.h ] && item "programs bricks' options" bricks_options
+    [ ${#HEADERS[@]} = 3 ] && item "programs files and views" files_and_views
     item "programs docs/programs.md says what --help says" help_same
     [ -f zbufrand.h ] && { item "programs 10^8 points" fuzz_bounds; item "programs stats keys" stats_keys; }
     [ -f voxrt.h ] && item "programs edits give finishes" edit_finishes

@@ -158,7 +158,7 @@ enum { SUP_COMMON_OPTIONS = 14 };
 
 typedef struct sup_common {
     sup_camera camera;
-    int has_eye, has_at, has_up, has_size, has_tolerance, has_seed;
+    int has_eye, has_at, has_up, has_fov, has_size, has_tolerance, has_seed;
     const char *out;   /* NULL: not given */
     const char *depth; /* NULL: not given */
     uint32_t size[2];
@@ -189,7 +189,8 @@ SUP_FN size_t sup_common_options(sup_common *common, sup_option *options) {
         &common->has_eye);
     options[n++] = sup_opt_given(sup_opt_vec3("at", common->camera.at, "where it looks"), &common->has_at);
     options[n++] = sup_opt_given(sup_opt_vec3("up", common->camera.up, "what is up (0,1,0)"), &common->has_up);
-    options[n++] = sup_opt_real("fov", &common->fov, 0.01, 179.0, "DEG", "vertical angle of view, degrees (40)");
+    options[n++] = sup_opt_given(
+        sup_opt_real("fov", &common->fov, 0.01, 179.0, "DEG", "vertical angle of view, degrees (40)"), &common->has_fov);
     options[n++] = sup_opt_int("threads", &common->threads, 0, 1024, "N",
                                "threads, 0: one per core; the picture is the same");
     options[n++] = sup_opt_given(sup_opt_int("seed", &common->seed, 0, INT64_C(4294967295), "N", "random seed"),
@@ -203,6 +204,13 @@ SUP_FN size_t sup_common_options(sup_common *common, sup_option *options) {
     options[n++] = sup_opt_flag("quiet", &common->quiet, "no progress");
     options[n++] = sup_opt_flag("unlit", &common->unlit, "plain surface colours");
     return n;
+}
+
+/* What one of n options means to a program, where that is not what it means to most. */
+SUP_FN void sup_option_help(sup_option *options, size_t n, const char *name, const char *help) {
+    size_t i;
+    for (i = 0; i < n; i++)
+        if (strcmp(options[i].name, name) == 0) options[i].help = help;
 }
 
 /* The camera for an object in the box lo..hi: by --eye, --at, --up, --fov; what is not given frames the box. */
