@@ -24978,18 +24978,47 @@ static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_rec
     return tetcasti_rbf_meet_range(g, lo, hi, half, r);
 }
 
+/* Samples of a Gaussian are a chain of products (below) where all of it is above 2^-118 on the rays that it touches, else
+   powers one by one: a chain that begins where it is less than a float begins with another number, which grows on the
+   way to the middle. Rays on which it is less than that everywhere have 0. */
+#define TETCASTI_RBF_LEAST -118.0f
+TETCASTI_INLINE int tetcasti_rbf_chain(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f,
+                                       const tetcasti_rbf_reach *r) {
+    const float first = (float)r->first * g->h, last = (float)r->last * g->h;
+    uint32_t l;
+    int good = 1;
+    for (l = 0; l < 8; l++) {
+        const float u = first - r->tc[l], v = last - r->tc[l], u2 = u * u, v2 = v * v, far = u2 > v2 ? u2 : v2;
+        const float d = f->a * r->d2[l], w = (f->a * far) * (f->k != 0.0f ? r->grow[l] : 1.0f);
+        good &= (d > TETCASTI_RBF_LEAST ? d + w : w) > TETCASTI_RBF_LEAST;
+    }
+    return good;
+}
+
 /* Add a function to rows[component][sample][lane]; `stride` floats from one component to the next. */
 TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const uint32_t n, const tetcasti_rbf_group *g,
                                            const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows,
                                            size_t stride) {
     const float h = g->h;
-    const int shaped = f->k != 0.0f;
+    const int shaped = f->k != 0.0f, gauss = kernel == TETCAST_KERNEL_GAUSS || kernel == TETCAST_KERNEL_GAUSS_CUT;
+    const int chain = gauss && tetcasti_rbf_chain(g, f, r);
     uint32_t l, c;
     int32_t j, k, way;
     for (l = 0; l < 8; l++) {
         const float a = shaped ? f->a * r->grow[l] : f->a, c2 = shaped ? tetcasti_exp2_decay((2.0f * h) * (a * h))
                                                                         : r->decay;
-        if (kernel != TETCAST_KERNEL_GAUSS && kernel != TETCAST_KERNEL_GAUSS_CUT) {
+        const int seen = f->a * r->d2[l] > TETCASTI_RBF_LEAST;
+        if (gauss && !chain) {
+            for (j = r->first; j <= r->last; j++) {
+                const float u = (float)j * h - r->tc[l];
+                const float v = tetcasti_exp2_fused(f->a * fmaf(shaped ? r->grow[l] * u : u, u, r->d2[l]));
+                const float m = v - f->e, phi = m > 0.0f ? (kernel == TETCAST_KERNEL_GAUSS ? m : v) : 0.0f;
+                for (c = 0; c < n; c++)
+                    rows[c * stride + (size_t)j * 8 + l] = fmaf(f->w[c], phi, rows[c * stride + (size_t)j * 8 + l]);
+            }
+            continue;
+        }
+        if (!gauss) {
             for (j = r->first; j <= r->last; j++) {
                 const float u = (float)j * h - r->tc[l], v = shaped ? r->grow[l] * u : u;
                 const float phi = tetcasti_rbf_phi(kernel, f, r->d2[l] + v * u, NULL);
@@ -25000,7 +25029,7 @@ TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const ui
         }
         {
             const float u0 = (float)r->middle * h - r->tc[l], g0 = shaped ? r->grow[l] * u0 : u0;
-            const float v0 = tetcasti_exp2_fused(f->a * fmaf(g0, u0, r->d2[l]));
+            const float v0 = seen ? tetcasti_exp2_fused(f->a * fmaf(g0, u0, r->d2[l])) : 0.0f;
             for (way = 1; way >= -1; way -= 2) {
                 float u = u0, v = v0, q = tetcasti_exp2_fused((a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
                 int32_t left, all = way > 0 ? r->last - r->middle + 1 : r->middle - r->first;
@@ -25021,7 +25050,7 @@ TETCASTI_INLINE void tetcasti_rbf_run_kind(const tetcast_kernel kernel, const ui
                     }
                     if (all == left) break;
                     u = (float)j * h - r->tc[l];
-                    v = tetcasti_exp2_fused(f->a * fmaf(shaped ? r->grow[l] * u : u, u, r->d2[l]));
+                    v = seen ? tetcasti_exp2_fused(f->a * fmaf(shaped ? r->grow[l] * u : u, u, r->d2[l])) : 0.0f;
                     q = tetcasti_exp2_fused((a * h) * fmaf(way > 0 ? 2.0f : -2.0f, u, h));
                 }
             }
@@ -25121,13 +25150,29 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
     return tetcasti_rbf_meet_range(g, lo, hi, half, r);
 }
 
-/* One sample, `step` floats before the next one; the rest of one way, which begins anew every TETCASTI_RBF_RUN. */
-#define TETCASTI_RBF_STEP8(v, q, to, step) do { \
+/* tetcasti_rbf_chain for eight rays. seen: those on which the function is more than nothing. */
+TETCASTI_TARGET_WALK TETCASTI_INLINE int tetcasti_rbf_chain8(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f,
+        const tetcasti_rbf_reach *r, const int shaped, __m256 seen) {
+    const __m256 tc = _mm256_loadu_ps(r->tc), a = _mm256_set1_ps(f->a), least = _mm256_set1_ps(TETCASTI_RBF_LEAST);
+    const __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)r->first * g->h), tc);
+    const __m256 v = _mm256_sub_ps(_mm256_set1_ps((float)r->last * g->h), tc);
+    const __m256 d = _mm256_mul_ps(a, _mm256_loadu_ps(r->d2));
+    __m256 w = _mm256_mul_ps(a, _mm256_max_ps(_mm256_mul_ps(u, u), _mm256_mul_ps(v, v)));
+    if (shaped) w = _mm256_mul_ps(w, _mm256_loadu_ps(r->grow));
+    w = _mm256_blendv_ps(w, _mm256_add_ps(d, w), seen);
+    return _mm256_movemask_ps(_mm256_cmp_ps(w, least, _CMP_GT_OQ)) == 255;
+}
+
+/* One sample; and the step to the next one, `step` floats on; the rest of one way, which begins anew every
+   TETCASTI_RBF_RUN. */
+#define TETCASTI_RBF_ADD8(v, to) do { \
     const __m256 m = _mm256_sub_ps(v, e); \
     const __m256 phi = kernel == TETCAST_KERNEL_GAUSS \
         ? _mm256_max_ps(m, zero) : _mm256_and_ps(_mm256_cmp_ps(m, zero, _CMP_GT_OQ), v); \
     for (c = 0; c < n; c++) \
-        _mm256_storeu_ps(to + c * stride, _mm256_fmadd_ps(w[c], phi, _mm256_loadu_ps(to + c * stride))); \
+        _mm256_storeu_ps(to + c * stride, _mm256_fmadd_ps(w[c], phi, _mm256_loadu_ps(to + c * stride))); } while (0)
+#define TETCASTI_RBF_STEP8(v, q, to, step) do { \
+    TETCASTI_RBF_ADD8(v, to); \
     v = _mm256_mul_ps(v, q); \
     q = _mm256_mul_ps(q, c2); \
     to += step; } while (0)
@@ -25138,7 +25183,7 @@ TETCASTI_TARGET_AVX2 static int tetcasti_rbf_meet8(const tetcasti_rbf_group *g, 
         if (k % TETCASTI_RBF_RUN == 0 && k != 0) { \
             u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc); \
             v = shaped ? _mm256_mul_ps(grow, u) : u; \
-            v = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(v, u, d2))); \
+            v = _mm256_and_ps(seen, tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(v, u, d2)))); \
             q = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fmadd_ps(_mm256_set1_ps(2.0f * (float)(way)), u, h8))); \
         } \
         for (i = 0; i < some; i++) TETCASTI_RBF_STEP8(v, q, to, 8 * (way)); \
@@ -25172,11 +25217,23 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
         const __m256 c2 = shaped ? tetcasti_exp2_decay8(_mm256_mul_ps(_mm256_set1_ps(2.0f * h), ah))
                                  : _mm256_set1_ps(r->decay);
         __m256 u = _mm256_sub_ps(_mm256_set1_ps((float)r->middle * h), tc), up, down, q, p;
+        const __m256 seen = _mm256_cmp_ps(_mm256_mul_ps(a, d2), _mm256_set1_ps(TETCASTI_RBF_LEAST), _CMP_GT_OQ);
         const int32_t above = r->last - r->middle + 1, below = r->middle - r->first;
         const int32_t both = above < below ? above : below, left = both < TETCASTI_RBF_RUN ? both : TETCASTI_RBF_RUN;
         float *higher = rows + (size_t)r->middle * 8, *lower = higher - 8;
         int32_t some, i;
+        if (TETCASTI_UNLIKELY(!tetcasti_rbf_chain8(g, f, r, shaped, seen))) {
+            for (j = r->first; j <= r->last; j++) {
+                float *at = rows + (size_t)j * 8;
+                u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc);
+                q = _mm256_fmadd_ps(shaped ? _mm256_mul_ps(grow, u) : u, u, d2);
+                up = tetcasti_exp2_fused8(_mm256_mul_ps(a, q));
+                TETCASTI_RBF_ADD8(up, at);
+            }
+            return;
+        }
         up = tetcasti_exp2_fused8(_mm256_mul_ps(a, _mm256_fmadd_ps(shaped ? _mm256_mul_ps(grow, u) : u, u, d2)));
+        up = _mm256_and_ps(seen, up);
         q = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fmadd_ps(two, u, h8)));
         p = tetcasti_exp2_fused8(_mm256_mul_ps(ah, _mm256_fnmadd_ps(two, u, h8)));
         down = _mm256_mul_ps(up, p);
@@ -25191,6 +25248,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
 }
 #undef TETCASTI_RBF_REST8
 #undef TETCASTI_RBF_STEP8
+#undef TETCASTI_RBF_ADD8
 TETCASTI_TARGET_WALK static void tetcasti_rbf_run8(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
         const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows, size_t stride) {
     const int shaped = f->k != 0.0f;
