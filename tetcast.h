@@ -25165,14 +25165,14 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE int tetcasti_rbf_chain8(const tetcasti_rbf_
 
 /* One sample; and the step to the next one, `step` floats on; the rest of one way, which begins anew every
    TETCASTI_RBF_RUN. */
-#define TETCASTI_RBF_ADD8(v, to) do { \
+#define TETCASTI_RBF_SAMPLE8(v, to) do { \
     const __m256 m = _mm256_sub_ps(v, e); \
     const __m256 phi = kernel == TETCAST_KERNEL_GAUSS \
         ? _mm256_max_ps(m, zero) : _mm256_and_ps(_mm256_cmp_ps(m, zero, _CMP_GT_OQ), v); \
     for (c = 0; c < n; c++) \
         _mm256_storeu_ps(to + c * stride, _mm256_fmadd_ps(w[c], phi, _mm256_loadu_ps(to + c * stride))); } while (0)
 #define TETCASTI_RBF_STEP8(v, q, to, step) do { \
-    TETCASTI_RBF_ADD8(v, to); \
+    TETCASTI_RBF_SAMPLE8(v, to); \
     v = _mm256_mul_ps(v, q); \
     q = _mm256_mul_ps(q, c2); \
     to += step; } while (0)
@@ -25228,7 +25228,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
                 u = _mm256_sub_ps(_mm256_set1_ps((float)j * h), tc);
                 q = _mm256_fmadd_ps(shaped ? _mm256_mul_ps(grow, u) : u, u, d2);
                 up = tetcasti_exp2_fused8(_mm256_mul_ps(a, q));
-                TETCASTI_RBF_ADD8(up, at);
+                TETCASTI_RBF_SAMPLE8(up, at);
             }
             return;
         }
@@ -25248,7 +25248,7 @@ TETCASTI_TARGET_WALK TETCASTI_INLINE void tetcasti_rbf_run8_kind(const tetcast_k
 }
 #undef TETCASTI_RBF_REST8
 #undef TETCASTI_RBF_STEP8
-#undef TETCASTI_RBF_ADD8
+#undef TETCASTI_RBF_SAMPLE8
 TETCASTI_TARGET_WALK static void tetcasti_rbf_run8(tetcast_kernel kernel, uint32_t n, const tetcasti_rbf_group *g,
         const tetcasti_rbf_record *f, const tetcasti_rbf_reach *r, float *rows, size_t stride) {
     const int shaped = f->k != 0.0f;
