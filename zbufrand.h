@@ -1106,8 +1106,10 @@ typedef struct zbufrand_costs {
                    d x d: up to 3 d / 2 pixels away; 5 d / 2 where regions grow over cells or squares), where these are
                    covered as a whole. Where a fill mixes samples of cells or squares, a pixel that keeps none of its
                    own is as deep as the nearest of them. Gaps between cells or squares that nothing fills do not count
-                   (fill none; `reach` or a Gaussian that reaches less than a block). Holds for what is sampled; what is
-                   rastered misses nothing. With `noise` and without a tolerance frames have half as many samples, and
+                   (`reach` or a Gaussian that reaches less than a block); with fill none nothing is promised of these,
+                   and with tolerance_slope, which is on in them, nothing of hidden surfaces that are steep. Covered: by
+                   d pixels beyond the borders of the picture, too. Holds for what is sampled; what is rastered misses
+                   nothing. With `noise` and without a tolerance frames have half as many samples, and
                    what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
@@ -4365,6 +4367,12 @@ static void zbufrandi_set_copy(zbufrandi_build *b, const zbufrandi_node8 *n, uin
     if (s->set_normal != NULL) s->set_normal[to] = s->set_normal[at];
 }
 
+/* Children of one parent are read in orders of their own: they often lie side by side and alike, as rows of a grid do,
+   and the same places of each would be a comb. */
+ZBUFRANDI_INLINE uint32_t zbufrandi_set_order(uint32_t seed, uint32_t child) {
+    return zbufrandi_hash32(seed ^ ((child + 1) * 0x9e3779b9u)) >> 26;
+}
+
 /* The lanes of a node that stand for nodes and instances, then the node's own stored points: children get their share
    of the 64 by area, in order; equal steps with one random start, so that no point of a child is taken twice. */
 static void zbufrandi_node_finish(zbufrandi_build *b, uint32_t index) {
@@ -4399,6 +4407,7 @@ static void zbufrandi_node_finish(zbufrandi_build *b, uint32_t index) {
         while (i + 1 < n->count && sum[i + 1] <= y) i++;
         f = (y - sum[i]) / (sum[i + 1] - sum[i]) * ZBUFRANDI_SET;
         stratum = !(f > 0.0) ? 0u : f >= 63.0 ? 63u : (uint32_t)f;
+        stratum ^= zbufrandi_set_order(seed, i);
         from[k % AHEAD] = i;
         if (ZBUFRANDI_CHILD_KIND(n->child[i]) == ZBUFRANDI_CHILD_INSTANCE)
             zbufrandi_set_find(b, &s->instance[ZBUFRANDI_CHILD_INDEX(n->child[i])], zbufrandi_reverse6(stratum),
@@ -4904,14 +4913,16 @@ static void zbufrandi_view_make(zbufrandi_view_job *j, uint32_t cell) {
     const uint32_t points = j->count * ZBUFRANDI_SET;
     const size_t sets = (size_t)s->cluster_count + s->node_count + (size_t)cell * ZBUFRANDI_VIEW_SETS,
                  first = sets * ZBUFRANDI_SET;
-    const float start = zbufrandi_unit24(zbufrandi_hash32(j->b->scene->seed ^ zbufrandi_hash32(
-        j->b->index ^ zbufrandi_hash32(cell + 0x7f4a7c15u))));
-    uint32_t i, k;
+    const uint32_t seed = zbufrandi_hash32(j->b->scene->seed ^ zbufrandi_hash32(
+        j->b->index ^ zbufrandi_hash32(cell + 0x7f4a7c15u)));
+    const float start = zbufrandi_unit24(seed);
+    uint32_t i, k, lane, at;
     zbufrandi_view_open(cell, view);
     j->sum[0] = 0.0;
     for (i = 0; i < points; i++) {
-        const uint32_t lane = i / ZBUFRANDI_SET;
-        const float w = zbufrandi_view_weight(view, j->normal[i], 1.0f, j->normal[i][3] != 0.0f);
+        const float *normal = j->normal[i ^ zbufrandi_set_order(seed, i / ZBUFRANDI_SET)];
+        const float w = zbufrandi_view_weight(view, normal, 1.0f, normal[3] != 0.0f);
+        lane = i / ZBUFRANDI_SET;
         j->sum[i + 1] = j->sum[i] + (w > 0.0f ? (double)w : 0.0) *
             (double)s->node[j->from[lane].node].area[j->from[lane].lane] / ZBUFRANDI_SET;
     }
@@ -4920,8 +4931,10 @@ static void zbufrandi_view_make(zbufrandi_view_job *j, uint32_t cell) {
         const double y = ((double)k + (double)start) / (ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET) * j->sum[points];
         const size_t to = first + k % ZBUFRANDI_VIEW_SETS * ZBUFRANDI_SET + zbufrandi_reverse6(k / ZBUFRANDI_VIEW_SETS);
         while (i + 1 < points && j->sum[i + 1] <= y) i++;
-        zbufrandi_set_copy(j->b, &s->node[j->from[i / ZBUFRANDI_SET].node], j->from[i / ZBUFRANDI_SET].lane,
-                           zbufrandi_reverse6(i % ZBUFRANDI_SET), s->box_lo, s->box_hi, to);
+        lane = i / ZBUFRANDI_SET;
+        at = (i ^ zbufrandi_set_order(seed, lane)) % ZBUFRANDI_SET;
+        zbufrandi_set_copy(j->b, &s->node[j->from[lane].node], j->from[lane].lane, zbufrandi_reverse6(at), s->box_lo,
+                           s->box_hi, to);
     }
 }
 
@@ -15910,10 +15923,15 @@ static double zbufrandi_block_empty(double density, double block) {
     return zbufrandi_share_exp2(-1.4426950408889634 * density * block * block);
 }
 
+/* Pixels times the probability that one is wrong in all frames. */
+static double zbufrandi_all_wrong(double pixels, double q, uint32_t frames) {
+    return pixels * (frames == 1 ? q : zbufrandi_share_pow(zbufrandi_min(q, 1.0), (double)frames));
+}
+
 /* Bound of the probability that a picture of which `covered` pixels are covered is wrong somewhere although repaired,
-   when a block gets no sample with probability q. */
-static double zbufrandi_incomplete(uint32_t width, uint32_t height, uint32_t distance, double covered,
-                                   double q) {
+   in each of that many frames, when a block gets no sample with probability q. */
+static double zbufrandi_incomplete(uint32_t width, uint32_t height, uint32_t distance, double covered, double q,
+                                   uint32_t frames) {
     const double q2 = q * q, q3 = q * q2, q4 = q2 * q2;
     const double size[2] = {(double)width, (double)height}, both = 2.0 * (double)distance;
     double n[2][3], failed; /* pixels along an axis by how many of both neighbours are in the picture */
@@ -15923,12 +15941,12 @@ static double zbufrandi_incomplete(uint32_t width, uint32_t height, uint32_t dis
         n[a][0] = zbufrandi_min(zbufrandi_max(both - size[a], 0.0), size[a]);
         n[a][1] = size[a] - n[a][0] - n[a][2];
     }
-    failed = zbufrandi_min(covered, n[0][2] * n[1][2]) * q4 * q * (70.0 + 56.0 * q);
-    failed += zbufrandi_min(covered, n[0][2] * n[1][1] + n[0][1] * n[1][2]) * q4 * 10.0;
-    failed += zbufrandi_min(covered, n[0][1] * n[1][1]) * q4;
-    failed += zbufrandi_min(covered, n[0][2] * n[1][0] + n[0][0] * n[1][2]) * q3;
-    failed += zbufrandi_min(covered, n[0][1] * n[1][0] + n[0][0] * n[1][1]) * q2;
-    failed += zbufrandi_min(covered, n[0][0] * n[1][0]) * q;
+    failed = zbufrandi_all_wrong(zbufrandi_min(covered, n[0][2] * n[1][2]), q4 * q * (70.0 + 56.0 * q), frames);
+    failed += zbufrandi_all_wrong(zbufrandi_min(covered, n[0][2] * n[1][1] + n[0][1] * n[1][2]), q4 * 10.0, frames);
+    failed += zbufrandi_all_wrong(zbufrandi_min(covered, n[0][1] * n[1][1]), q4, frames);
+    failed += zbufrandi_all_wrong(zbufrandi_min(covered, n[0][2] * n[1][0] + n[0][0] * n[1][2]), q3, frames);
+    failed += zbufrandi_all_wrong(zbufrandi_min(covered, n[0][1] * n[1][0] + n[0][0] * n[1][1]), q2, frames);
+    failed += zbufrandi_all_wrong(zbufrandi_min(covered, n[0][0] * n[1][0]), q, frames);
     return zbufrandi_min(1.0, failed);
 }
 
@@ -15969,7 +15987,7 @@ static double zbufrandi_complete_density(uint32_t width, uint32_t height, const 
     const uint32_t distance = zbufrandi_repair_distance(o);
     /* enough inside, where 70 + 56 q is below 80 */
     double n = zbufrandi_max(0.2 * 0.6931471805599453 * zbufrandi_log2(80.0 * pixels / tolerance), 2.0);
-    while (zbufrandi_incomplete(width, height, distance, pixels, zbufrandi_pixel_wrong(o, n / (edge * edge))) >
+    while (zbufrandi_incomplete(width, height, distance, pixels, zbufrandi_pixel_wrong(o, n / (edge * edge)), 1) >
            tolerance) n += 0.0625;
     return n / (edge * edge);
 }
@@ -16243,7 +16261,7 @@ static zbufrand_result zbufrandi_repair(zbufrandi_picture *p, double density, ui
     }
     q = zbufrandi_min(q, 1.0);
     p->stats.incomplete = zbufrandi_min(zbufrandi_incomplete(r->width, r->height, distance, (double)covered,
-                                                             zbufrandi_share_pow(q, (double)frames)),
+                                                             q, frames),
                                         zbufrandi_parts_incomplete(p, (double)r->o.block, (double)covered, q));
     zbufrandi_lap(p, ZBUFRAND_STAGE_REPAIR);
     return ZBUFRAND_OK;
@@ -16704,10 +16722,12 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
             zbufrandi_parts_incomplete(p, block, pixels, zbufrandi_pixel_wrong(&r->o, density)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
         if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
-        /* a pixel covered with a margin expects 27 or more: with so few there is none, nearly all is rastered */
-        if (zbufrandi_tally(p->stored) + zbufrandi_tally(p->sampled) < 8 && density * block * block >= 3.0) {
-            p->stats.incomplete = zbufrandi_min(p->stats.incomplete, 1e-4);
-            break;
+        /* all is rastered, or what is not has no sample where rays could begin: then all around it failed */
+        if (zbufrandi_tally(p->stored) + zbufrandi_tally(p->sampled) == 0) {
+            const double wrong = zbufrandi_pixel_wrong(&r->o, density);
+            p->stats.incomplete = zbufrandi_min(p->stats.incomplete, zbufrandi_incomplete(
+                r->width, r->height, zbufrandi_repair_distance(&r->o), pixels, wrong, 1));
+            if (density * block * block >= 3.0) break;
         }
         if (zbufrandi_shares_samples(d)) {
             result = zbufrandi_repair(p, density, p->stats.frames);

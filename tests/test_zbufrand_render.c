@@ -2184,8 +2184,8 @@ static void similarity(const float *rgba, const float *want, uint32_t w, uint32_
 TEST(pictures_stay_as_good) {
     enum { W = 120, H = 90 };
     static const struct { double psnr, ssim; } least[3][3] = {
-        {{31.6, 0.97}, {39.0, 0.99}, {26.9, 0.93}}, {{20.6, 0.77}, {25.9, 0.88}, {19.3, 0.72}}, {{20.0, 0.62}, {25.6, 0.83}, {18.6, 0.57}}
-    };
+        {{31.6, 0.97}, {39.0, 0.99}, {26.9, 0.93}}, {{20.6, 0.77}, {25.9, 0.88}, {19.3, 0.72}}, {{19.65, 0.62}, {25.0, 0.83}, {18.1, 0.57}}
+    }; /* forests: four standard deviations of seeds of builds, 0.1 to 0.2 dB, below their mean */
     uint32_t world, way;
     for (world = 0; world < 3; world++) {
         zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
@@ -2439,14 +2439,184 @@ TEST(borders_and_mixtures_keep_promises) {
     }
 }
 
+/* A wall before a huge one that is rastered, in the pictures that d asks for: how many of them show what is behind in the first `look`
+   pixels, and what they report of it on average. */
+static uint32_t walls_that_fail(double half_x, double half_y, uint32_t side, zbufrand_render_desc *d, uint32_t width, uint32_t height,
+                                uint32_t frames, uint32_t look, float *rgba, double *incomplete) {
+    zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+    zbufrand_scene *scene;
+    zbufrand_image image;
+    zbufrand_stats st;
+    zbufrand_mesh m;
+    uint32_t i, bad = 0;
+    uint8_t *rgb;
+    shape s;
+    memset(&s, 0, sizeof s);
+    memset(&image, 0, sizeof image);
+    for (i = 0; i <= side * side; i++) {
+        const int last = i == side * side; /* the huge one */
+        const double x = last ? -1000 : half_x * (2.0 * (i % side) / side - 1), y = last ? -1000 : half_y * (2.0 * (i / side) / side - 1);
+        const double dx = last ? 2000 : 2 * half_x / side, dy = last ? 2000 : 2 * half_y / side, z = last ? -6 : 0;
+        const uint32_t v = shape_vertex(&s, x, y, z);
+        (void)shape_vertex(&s, x + dx, y, z);
+        (void)shape_vertex(&s, x + dx, y + dy, z);
+        (void)shape_vertex(&s, x, y + dy, z);
+        shape_triangle(&s, v, v + 1, v + 2);
+        shape_triangle(&s, v, v + 2, v + 3);
+    }
+    rgb = (uint8_t *)calloc(s.vertices, 3);
+    for (i = 0; i < 4 * side * side; i++) rgb[3 * i] = 255;
+    m = mesh_of(&s);
+    m.vertex_rgb = rgb;
+    scene = scene_of(&m, 1);
+    d->camera.eye[2] = 4;
+    d->camera.fov_y = 30;
+    d->independent = d->unlit = d->no_occlusion = 1;
+    image.width = width;
+    image.height = height;
+    image.rgba = rgba;
+    *incomplete = 0;
+    for (d->seed = 0; d->seed < frames; d->seed++) {
+        CHECK_EQ_U64(zbufrand_render(frame, d, scene, &image, &st), ZBUFRAND_OK);
+        for (i = 0; i < look && rgba[4 * i] > 1e-3f; i++) { }
+        bad += i < look;
+        *incomplete += st.incomplete / frames;
+    }
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    shape_free(&s);
+    free(rgb);
+    return bad;
+}
+
+/* Also where few samples are expected, and of means of frames: there that somewhere no frame is right. */
+TEST(small_parts_and_means_keep_promises) {
+    static float rgba[4 * 240 * 180];
+    const uint32_t means = test_quick() ? 20 : 100;
+    zbufrand_render_desc d;
+    double incomplete;
+    uint32_t bad;
+    memset(&d, 0, sizeof d);
+    d.camera.eye[1] = d.camera.at[1] = -1.0357; /* two pixels at the end of a row */
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    d.tolerance = 0.001;
+    bad = walls_that_fail(0.03, 0.0358, 20, &d, 1, 60, 3000, 1, rgba, &incomplete);
+    CHECK_MSG(incomplete > 1e-4 && incomplete <= 0.001 && bad <= 10, "%u of 3000, %g", bad, incomplete); /* 3, and four deviations */
+    memset(&d, 0, sizeof d);
+    d.hybrid = ZBUFRAND_HYBRID_OFF;
+    d.noise = 1e-9;
+    d.max_frames = 2;
+    d.reconstruct.block = 4;
+    bad = walls_that_fail(4, 4, 40, &d, 240, 180, means, 240 * 180, rgba, &incomplete);
+    CHECK_MSG(incomplete < 0.99 && bad <= means * incomplete + 4 * sqrt(means * incomplete), "%u of %u, %g", bad, means, incomplete);
+    CHECK_MSG(incomplete > 0.05, "%g", incomplete); /* what was measured */
+}
+
+/* A wall is complete as often as is asked for, whatever the size of what it is made of: fine grids, as one mesh before another wall,
+   and as instances. Points at the same places of all parts, which are rows or columns of a grid, left gaps in nearly every picture. */
+TEST(stored_points_are_no_combs) {
+    enum { W = 80, H = 60, FRAMES = 20, EDGE = 16 };
+    static const struct { uint32_t side, block; double cell; } ways[8] = {
+        {0, 2, 0.2391}, {0, 2, 0.4718}, {0, 1, 0.2391}, {0, 2, 0.7}, {900, 2, 0}, {930, 2, 0}, {870, 1, 0}, {1100, 2, 0}};
+    static float rgba[4 * W * H];
+    const double pixel = 8.0 * 0.26794919243112 / H; /* of the wall */
+    uint32_t i, k, a, way, seed;
+    for (way = test_quick() ? 1 : 0; way < (test_quick() ? 2u : 8u); way++) {
+        const double cell = ways[way].cell * pixel, edge = way < 4 ? cell / EDGE : 4.4026 / ways[way].side, from = way < 4 ? 0 : -2.2013;
+        const uint32_t n = way < 4 ? EDGE : ways[way].side, side = way < 4 ? (uint32_t)(4.4 / cell) + 2 : 1;
+        zbufrand_transform *to = (zbufrand_transform *)calloc(2 * (size_t)side * side, sizeof *to);
+        zbufrand_scene *scene = NULL;
+        zbufrand_frame *frame;
+        zbufrand_mesh m;
+        zbufrand_node node;
+        uint32_t bad = 0;
+        double incomplete = 0;
+        uint8_t *rgb;
+        shape s;
+        memset(&s, 0, sizeof s);
+        for (i = 0; i < n * n; i++) {
+            const double x = from + edge * (i % n), y = from + edge * (i / n);
+            const uint32_t v = shape_vertex(&s, x, y, 0);
+            (void)shape_vertex(&s, x + edge, y, 0);
+            (void)shape_vertex(&s, x + edge, y + edge, 0);
+            (void)shape_vertex(&s, x, y + edge, 0);
+            shape_triangle(&s, v, v + 1, v + 2);
+            shape_triangle(&s, v, v + 2, v + 3);
+        }
+        if (way >= 4) { /* what is behind, black, has to be seen nowhere */
+            const uint32_t v = shape_vertex(&s, -1000, -1000, -6);
+            (void)shape_vertex(&s, 1000, -1000, -6);
+            (void)shape_vertex(&s, 1000, 1000, -6);
+            (void)shape_vertex(&s, -1000, 1000, -6);
+            shape_triangle(&s, v, v + 1, v + 2);
+            shape_triangle(&s, v, v + 2, v + 3);
+        }
+        rgb = (uint8_t *)calloc(2 * s.vertices, 3);
+        for (i = 0; i < 4 * n * n; i++) rgb[3 * i] = 255;
+        m = mesh_of(&s);
+        m.vertex_rgb = rgb;
+        for (i = 0; i < side * side; i++) {
+            for (k = 0; k < 3; k++) to[i].m[k][k] = 1;
+            if (way < 4) to[i].m[0][3] = ((double)(i % side) - side / 2) * cell + 0.1317 * pixel;
+            if (way < 4) to[i].m[1][3] = ((double)(i / side) - side / 2) * cell + 0.1317 * pixel;
+        }
+        CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_add_mesh(scene, ZBUFRAND_ROOT, NULL, way < 4 ? ZBUFRAND_HIDDEN : 0, &m, &node), ZBUFRAND_OK);
+        for (k = 0; k < 2 && way < 4; k++) {
+            zbufrand_transform *place = to + (size_t)k * side * side;
+            CHECK_EQ_U64(zbufrand_add_references(scene, ZBUFRAND_ROOT, place, (size_t)side * side, node, NULL), ZBUFRAND_OK);
+            if (k == 1) break;
+            for (i = 0; i < side * side; i++) { /* behind, black */
+                for (a = 0; a < 3; a++) place[side * side + i].m[a][a] = 2.5;
+                for (a = 0; a < 2; a++) place[side * side + i].m[a][3] = 2.5 * (place[i].m[a][3] - 0.1317 * pixel);
+                place[side * side + i].m[2][3] = -6;
+            }
+            m.vertex_rgb = rgb + 3 * s.vertices;
+            CHECK_EQ_U64(zbufrand_add_mesh(scene, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &m, &node), ZBUFRAND_OK);
+        }
+        CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+        frame = open_frame(1, ZBUFRAND_ISA_AUTO);
+        for (seed = 0; seed < FRAMES; seed++) {
+            zbufrand_render_desc d;
+            zbufrand_image image;
+            zbufrand_stats st;
+            memset(&d, 0, sizeof d);
+            memset(&image, 0, sizeof image);
+            d.camera.eye[2] = 4;
+            d.camera.fov_y = 30;
+            if (way == 7) d.camera.up[0] = 0.29237170472274, d.camera.up[1] = 0.95630475596304;
+            d.seed = seed;
+            d.unlit = d.no_occlusion = 1;
+            if (way < 4) d.hybrid = ZBUFRAND_HYBRID_OFF;
+            d.tolerance = 0.05;
+            d.reconstruct.block = ways[way].block;
+            image.width = W;
+            image.height = H;
+            image.rgba = rgba;
+            CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, &st), ZBUFRAND_OK);
+            CHECK(st.draws[0] > 10); /* stored points */
+            for (i = 0; i < W * H && rgba[4 * i] > 1e-3f; i++) { }
+            bad += i < W * H;
+            incomplete += st.incomplete / FRAMES;
+        }
+        if (test_g.verbose) printf("way %u: %u of %d, %g\n", way, bad, FRAMES, incomplete);
+        CHECK_MSG(bad <= 5 && incomplete <= 0.05, "way %u: %u of %d, %g", way, bad, FRAMES, incomplete); /* 1, and four standard deviations */
+        zbufrand_frame_destroy(frame);
+        zbufrand_scene_destroy(scene);
+        shape_free(&s);
+        free(rgb);
+        free(to);
+    }
+}
+
 /* Whole pictures have these bits on every machine, with every compiler, any number of threads: a soup, nested and mirrored, as
    samples, rastered, by rays, in blocks and filters. Only exact arithmetic makes the scene: no libm. */
 TEST(golden_pictures) {
     enum { W = 101, H = 77, WAYS = 10 };
     static const uint64_t want[WAYS] = {
-        UINT64_C(0xa3b6c16efd187f4c), UINT64_C(0x038941fe2e1b65a4), UINT64_C(0x55648bb114835777), UINT64_C(0xcfb5d5f2ecce19fe),
-        UINT64_C(0x76937fa34d547cea), UINT64_C(0x690b6e0b595b300c), UINT64_C(0x85cbde06e1917696),
-        UINT64_C(0x8bc36fed88ad4827), UINT64_C(0xade6b8afe89fa667), UINT64_C(0x89453230569beed8)
+        UINT64_C(0x07085c4b35813cdf), UINT64_C(0xb67b0002e019815a), UINT64_C(0x55648bb114835777), UINT64_C(0x1dbe77396d0f4758),
+        UINT64_C(0x76937fa34d547cea), UINT64_C(0x7697dc4af336e0df), UINT64_C(0x40e6def2f03dd5cf),
+        UINT64_C(0xba880e11fcb0131e), UINT64_C(0x483893578b8d879b), UINT64_C(0x1952a3c0611c8b83)
     };
     static const float half[1] = {0.5f};
     zbufrand_scene *scene = NULL;
@@ -2714,7 +2884,7 @@ TEST(golden_scenes) {
     static const uint64_t want[GOLDEN_SCENES] = {
         UINT64_C(0x8ed1846d011625e3), UINT64_C(0xfb451c29500d9210), UINT64_C(0xc807cd76e1274cfe),
         UINT64_C(0xb1a51e101f7b8f92), UINT64_C(0x6f5cb80fdc7df8a5), UINT64_C(0x89e3648fa38d46b6),
-        UINT64_C(0xb45fde83417f9b46), UINT64_C(0x55c0b24c4b9654ca), UINT64_C(0x20674d27761ad736),
+        UINT64_C(0x1195ae456f52c45b), UINT64_C(0xb963b603f086c845), UINT64_C(0x20674d27761ad736),
         UINT64_C(0x7508ce43020b6ba6)
     };
     static const float eye[GOLDEN_SCENES][3] = {
@@ -3437,6 +3607,8 @@ int main(int argc, char **argv) {
     RUN(gaps_between_squares);
     RUN(depths_between_samples);
     RUN(borders_and_mixtures_keep_promises);
+    RUN(small_parts_and_means_keep_promises);
+    RUN(stored_points_are_no_combs);
     RUN(golden_pictures);
     RUN(golden_scenes);
     RUN(costs_are_measured);
