@@ -18261,6 +18261,7 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     voxrti_edit e;
     voxrti_leafset set;
     voxrti_stage stage;
+    voxrti_grid grid;
     voxrt_env env;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
     if (r != VOXRT_OK || e.m == NULL) return r;
@@ -18274,7 +18275,9 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     b.finish_count = 0; /* the edit says which finish there is */
     voxrti_stage_open(&stage, &env, 0, 1, 2, &b.env);
     b.env.allocator = mem.allocator;
-    r = voxrti_voxelize(&mem, &b, mesh, &model->grid, NULL, &built, &set);
+    grid = model->grid;
+    grid.resolution = (uint32_t)1 << grid.depth; /* edits reach all voxels, also beyond what the tree had */
+    r = voxrti_voxelize(&mem, &b, mesh, &grid, NULL, &built, &set);
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
         return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));

@@ -561,6 +561,50 @@ TEST(same_picture) {
     voxrt_model_destroy(m);
 }
 
+/* Models of trees whose resolution is no power of two reach as far as the others: triangles, too. */
+TEST(beyond_the_resolution) {
+    static float first[9] = {0, 0, 0, 99.5f, 0, 0, 0, 99.5f, 99.5f};
+    static float wall[9] = {90.5f, 50.5f, 50.5f, 120.5f, 50.5f, 50.5f, 90.5f, 50.5f, 80.5f};
+    const double lo[3] = {99, 49, 49}, hi[3] = {121, 52, 81};
+    voxrt_mesh mesh;
+    voxrt_build_desc bd;
+    voxrt_edit_desc d;
+    voxrt_edit_stats stats[2];
+    voxrt_model *m = NULL, *plain = open_model(7, 0.0), *copy = NULL;
+    voxrt_tree *t = NULL;
+    uint32_t x, y, z, beyond = 0;
+    memset(&mesh, 0, sizeof mesh);
+    memset(&bd, 0, sizeof bd);
+    memset(&d, 0, sizeof d);
+    mesh.positions = first;
+    mesh.vertex_count = 3;
+    mesh.triangle_count = 1;
+    bd.resolution = 100;
+    bd.box_size = 100.0;
+    REQUIRE(plain != NULL && voxrt_tree_build(&bd, &mesh, NULL, &t) == VOXRT_OK);
+    REQUIRE(voxrt_model_from_tree(NULL, t, &m) == VOXRT_OK && voxrt_model_copy(NULL, m, &copy) == VOXRT_OK);
+    mesh.positions = wall;
+    REQUIRE(voxrt_model_mesh(m, &d, &mesh, &stats[0]) == VOXRT_OK);
+    REQUIRE(voxrt_model_mesh(plain, &d, &mesh, &stats[1]) == VOXRT_OK);
+    CHECK(stats[0].filled + stats[0].painted == stats[1].filled);
+    for (z = 49; z < 82; z++)
+        for (y = 49; y < 53; y++)
+            for (x = 100; x < 122; x++) {
+                const int is = voxrt_model_get(plain, 7, x, y, z, NULL);
+                CHECK(voxrt_model_get(m, 7, x, y, z, NULL) == is);
+                beyond += (uint32_t)is;
+            }
+    CHECK(beyond > 100);
+    REQUIRE(voxrt_model_box(copy, &d, lo, hi, NULL) == VOXRT_OK);
+    d.op = VOXRT_EDIT_CLEAR;
+    REQUIRE(voxrt_model_mesh(copy, &d, &mesh, &stats[0]) == VOXRT_OK);
+    CHECK(stats[0].cleared >= beyond && !voxrt_model_get(copy, 7, 105, 50, 55, NULL));
+    voxrt_tree_destroy(t);
+    voxrt_model_destroy(m);
+    voxrt_model_destroy(copy);
+    voxrt_model_destroy(plain);
+}
+
 /* Without memory nothing has happened, and nothing leaks. */
 typedef struct failing { uint32_t left; int64_t bytes; } failing;
 static void *failing_alloc(size_t size, void *user) {
@@ -776,6 +820,7 @@ int main(int argc, char **argv) {
     RUN(undo);
     RUN(edges_of_blocks);
     RUN(same_picture);
+    RUN(beyond_the_resolution);
     RUN(allocation_failures);
     RUN(memory_limits);
     RUN(arguments);
