@@ -1616,7 +1616,7 @@ typedef struct voxrt_gi_update_stats {
 /* Voxelise what changed, bring the hierarchy up to date. After every change of objects or lights and before drawing.
    The same bits for any number of threads. O(moving triangles and cells, and points of SAMPLES). It asks progress_fn of
    voxrt_gi_desc.env. Errors: INVALID_ARG; NO_MEMORY, CANCELLED (there may be no cells, until it is called again and
-   ends well; light that has bounced is kept for that). Thread safety: alone with the scene. */
+   ends well; light that has bounced, and where objects were, is kept for that). Thread safety: alone with the scene. */
 VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stats);
 VOXRT_DEF const voxrt_columns *voxrt_gi_columns(const voxrt_gi *gi); /* owned by gi; the innermost volume */
 
@@ -23282,13 +23282,13 @@ struct voxrt_gi {
     size_t vpl_count, vpl_capacity;
     voxrti_gi_layer layer[2]; /* still, moving */
     voxrti_gi_layer before;   /* the moving layer of the last update, then memory for the next */
-    voxrti_gi_layer left;     /* the still layer that a new one replaces, until that is made */
+    voxrti_gi_layer left;     /* the still layer that a new one replaces, until the update is done */
     uint32_t *own, *own_before; /* level 0 of the moving layer */
     uint32_t *left_bits;      /* of the layer that is left */
     uint32_t *ways[3];        /* which ways surfaces face in blocks of cells: of the layers; of both, around */
     float lo[3], hi[3];       /* world box */
     uint32_t still_changed, changed; /* since the last update */
-    uint32_t turned;          /* `before` is that of the last update, but there is no new one yet */
+    uint32_t turned;          /* `before` is that of the last update, the one after it is not done yet */
     uint32_t version;         /* of what can be seen */
     float unit, per_unit;     /* of irradiance in the layers, a power of two, and 1 / unit */
     uint64_t rejected, open_columns;
@@ -23915,16 +23915,6 @@ static void voxrti_gi_track(voxrt_gi *gi) {
     }
 }
 
-/* The update is done. */
-static void voxrti_gi_placed(voxrt_gi *gi) {
-    size_t i;
-    for (i = 0; i < gi->entry_count; i++) {
-        voxrti_gi_entry *e = &gi->entry[i];
-        memcpy(e->at, voxrti_gi_where(&e->object), sizeof e->at);
-        e->placed = e->used;
-    }
-}
-
 /* Bring triangles that emit along a Z curve, and add up their power: equal parts of the sum are patches of a lamp then,
    so points that are even in the sum see it from one side, or shadows of it, evenly, too. */
 static voxrt_result voxrti_gi_sort_emitters(voxrt_gi *gi) {
@@ -23982,6 +23972,7 @@ static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
     for (i = 0; i < gi->entry_count && room != 0; i++) {
         const voxrti_gi_entry *e = &gi->entry[i];
         const voxrt_mesh *mesh = &e->object.mesh;
+        const double *place = voxrti_gi_where(&e->object);
         const size_t stride = mesh->position_stride != 0 ? mesh->position_stride : 12;
         const float share = 0.2126f * e->emission[0] + 0.7152f * e->emission[1] + 0.0722f * e->emission[2];
         if (!e->used || !(share > 0.0f)) continue;
@@ -23996,8 +23987,8 @@ static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
                 if (!ok) break;
                 memcpy(v, (const uint8_t *)mesh->positions + at * stride, 12);
                 for (a = 0; a < 3; a++) {
-                    double w = e->at[4 * a + 3];
-                    for (b = 0; b < 3; b++) w += e->at[4 * a + b] * (double)v[b];
+                    double w = place[4 * a + 3];
+                    for (b = 0; b < 3; b++) w += place[4 * a + b] * (double)v[b];
                     p[k][a] = (float)w;
                     ok &= (uint32_t)(voxrti_absf(p[k][a]) < 1e12f);
                 }
@@ -24025,6 +24016,21 @@ static void voxrti_gi_left_free(voxrt_gi *gi) {
     voxrti_gi_layer_free(gi, &gi->left);
     voxrti_free(&gi->mem, gi->left_bits);
     gi->left_bits = NULL;
+}
+
+/* The update of all volumes is done. Not before: one that ends early is tried again, and then objects still come from
+   where they were. */
+static void voxrti_gi_placed(voxrt_gi *gi) {
+    size_t i;
+    for (; gi != NULL; gi = gi->outer) {
+        gi->turned = 0;
+        voxrti_gi_left_free(gi);
+        for (i = 0; i < gi->entry_count; i++) {
+            voxrti_gi_entry *e = &gi->entry[i];
+            memcpy(e->at, voxrti_gi_where(&e->object), sizeof e->at);
+            e->placed = e->used;
+        }
+    }
 }
 
 /* ways[2]: of both layers, of each block and those around it, so of all cells within 4 of any cell. */
@@ -24057,8 +24063,8 @@ static void voxrti_gi_find_ways(voxrt_gi *gi) {
     }
 }
 
-/* Voxelise the layers of one volume that changed, keep what bounced. If memory runs out the next call goes on with what
-   the last one that ended well has left. */
+/* Voxelise the layers of one volume that changed, keep what bounced. If the call fails, here or later, the next one goes
+   on with what the last one that ended well has left. */
 static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     voxrt_columns *c = gi->columns;
     const size_t words = (size_t)c->size[0] * c->size[1] * c->words;
@@ -24067,7 +24073,7 @@ static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     gi->rejected = gi->open_columns = 0;
     voxrti_gi_track(gi);
     carry.gi = gi;
-    if (gi->still_changed && gi->layer[0].count != 0) {
+    if (gi->still_changed && gi->layer[0].count != 0 && gi->left.count == 0) {
         voxrti_gi_left_free(gi);
         gi->left_bits = (uint32_t *)voxrti_alloc_array(&gi->mem, words, 4);
         if (gi->left_bits == NULL) return VOXRT_ERR_NO_MEMORY;
@@ -24099,20 +24105,13 @@ static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
             carry.from = &gi->left;
             voxrti_parallel_for(&gi->env, voxrti_task_gi_carry, &carry, c->size[1]);
         }
-        if (r == VOXRT_OK) {
-            gi->still_changed = 0;
-            voxrti_gi_left_free(gi);
-        }
+        if (r == VOXRT_OK) gi->still_changed = 0;
     }
     if (r == VOXRT_OK) r = voxrti_gi_layer_build(gi, 1);
     if (r == VOXRT_OK && gi->before.count != 0 && gi->layer[1].count != 0) {
         carry.to = &gi->layer[1];
         carry.from = &gi->before;
         voxrti_parallel_for(&gi->env, voxrti_task_gi_carry, &carry, c->size[1]);
-    }
-    if (r == VOXRT_OK) {
-        gi->turned = 0;
-        voxrti_gi_placed(gi);
     }
     voxrti_gi_find_ways(gi);
     voxrt_columns_update(c);
@@ -24150,7 +24149,8 @@ VOXRT_DEF voxrt_result voxrt_gi_update(voxrt_gi *gi, voxrt_gi_update_stats *stat
         voxrti_gi_darken(gi);
         if (r == VOXRT_OK) {
             r = voxrti_gi_find_emitters(gi);
-            if (r != VOXRT_OK) gi->changed = 1;
+            if (r == VOXRT_OK) voxrti_gi_placed(gi);
+            else gi->changed = 1;
         }
         voxrti_gi_find_ups(gi);
         voxrti_gi_unit(gi);

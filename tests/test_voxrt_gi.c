@@ -2788,6 +2788,100 @@ TEST(lamps_that_change_before_the_next_try) { /* what bounced keeps its brightne
     CHECK_MSG(fail > 5 && lost == 0, "%u of %d times", lost, (int)fail);
 }
 
+/* A scene whose objects move from one place to the next; the update in between may be stopped, or have no memory. What
+   objects are known to have moved by, and what bounced: 1, if both are those of `want` (of 0: these are kept). */
+typedef struct moves { uint32_t nested, places, how; int64_t stop; } moves; /* how: 0 not at all, 1 cancel, 2 memory */
+typedef struct moved_state { double back[2][2][12]; uint32_t light[2][2][20000]; } moved_state;
+static int after_moves(const moves *m, moved_state *want, voxrt_result *stopped) {
+    static model a, b;
+    const double way[3][3] = {{0, 0, 0}, {0.5, 0.25, 0}, {0.75, 0.75, 0.25}};
+    stopper s;
+    test_alloc ta;
+    voxrt_gi_desc d;
+    voxrt_gi *gi = NULL, *g;
+    voxrt_gi_object o[2];
+    voxrt_gi_light light = point_light(0, 3, 0, 9);
+    uint32_t k, l, place, same = 1;
+    const int fill = m->how == 0;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    test_alloc_init(&ta);
+    sphere(&a, 1.0, 12, 200, 0);
+    sphere(&b, 0.75, 10, 160, 0);
+    d.env.allocator.alloc_fn = test_alloc_fn;
+    d.env.allocator.free_fn = test_free_fn;
+    d.env.allocator.user = &ta;
+    d.env.progress_fn = stop_fn;
+    d.env.progress_user = &s;
+    d.env.thread_count = 1;
+    d.nested = m->nested;
+    d.columns.size_x = d.columns.size_y = 32;
+    d.columns.size_z = 64;
+    for (k = 0; k < 3; k++) {
+        d.columns.box_min[k] = -4;
+        d.columns.box_max[k] = 4;
+    }
+    if (voxrt_gi_create(&d, &gi) != VOXRT_OK) return 0;
+    o[0] = object_of(&a, 1);
+    o[1] = object_of(&b, 0);
+    o[1].material.emission[0] = 2.0f;
+    for (place = 0; place <= m->places; place++) {
+        for (k = 0; k < 2; k++) {
+            for (l = 0; l < 12; l++) o[k].to_world[l] = l % 5 == 0;
+            for (l = 0; l < 3; l++) o[k].to_world[4 * l + 3] = way[place][l] * (k == 0 ? -1.0 : 1.0) + (k == 0 ? -1.0 : 1.0);
+            CHECK((place == 0 ? voxrt_gi_add(gi, &o[k], NULL) : voxrt_gi_set(gi, k, &o[k])) == VOXRT_OK);
+        }
+        if (place == 0) {
+            CHECK(voxrt_gi_set_lights(gi, &light, 1) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+            CHECK(voxrt_gi_bounce(gi, NULL, 2, 0, 0) == VOXRT_OK);
+        } else if (place == 1 && m->how != 0) {
+            s.calls = 0;
+            s.after = m->how == 1 ? (uint32_t)m->stop + 1 : 0;
+            ta.fail_at = m->how == 2 ? ta.count + m->stop : -1;
+            *stopped = voxrt_gi_update(gi, NULL);
+            s.after = 0;
+            ta.fail_at = -1;
+        }
+    }
+    if (m->how == 0 || *stopped != VOXRT_OK) CHECK(voxrt_gi_update(gi, NULL) == VOXRT_OK);
+    for (g = gi, l = 0; g != NULL && l < 2; g = g->outer, l++)
+        for (k = 0; k < 2; k++) {
+            const size_t bytes = 8 * g->layer[k].count;
+            CHECK_MSG(g->entry[k].moved && bytes > 100 && bytes <= sizeof want->light[l][k], "%u, %u: %u bytes", l, k, (unsigned)bytes);
+            if (fill) memcpy(want->back[l][k], g->entry[k].back, sizeof g->entry[k].back);
+            if (fill) memcpy(want->light[l][k], g->layer[k].bounce, bytes);
+            same &= g->entry[k].moved && memcmp(want->back[l][k], g->entry[k].back, sizeof g->entry[k].back) == 0;
+            same &= memcmp(want->light[l][k], g->layer[k].bounce, bytes) == 0;
+        }
+    voxrt_gi_destroy(gi);
+    test_alloc_check(&ta);
+    return (int)same;
+}
+
+TEST(updates_that_fail_see_no_move) { /* wherever they end: objects still come from where the last one that ended well had them */
+    static moved_state want;
+    moves m;
+    for (m.nested = 1; m.nested <= 2; m.nested++)
+        for (m.places = 1; m.places <= 2; m.places++) { /* on to a third place before the next try */
+            voxrt_result r = VOXRT_OK;
+            m.how = 0;
+            m.stop = 0;
+            CHECK(after_moves(&m, &want, &r));
+            for (m.how = 1; m.how <= 2; m.how++) {
+                uint32_t lost = 0, tries = 0;
+                for (m.stop = 0;; m.stop++) {
+                    const int same = after_moves(&m, &want, &r);
+                    if (r == VOXRT_OK) break;
+                    CHECK(r == (m.how == 1 ? VOXRT_ERR_CANCELLED : VOXRT_ERR_NO_MEMORY));
+                    tries++;
+                    lost += !same;
+                }
+                CHECK_MSG(tries > (m.how == 1 ? m.nested - 1 : 5) && lost == 0, "%u volumes, %u places, %s: %u of %u lost", m.nested, m.places,
+                          m.how == 1 ? "cancelled" : "memory", lost, tries);
+            }
+        }
+}
+
 TEST(lamps_that_go_out) { /* for a picture, and come back as they were: what has bounced is the same bits */
     static room r;
     static uint32_t first[40000];
@@ -2964,6 +3058,7 @@ int main(int argc, char **argv) {
     RUN(memory);
     RUN(memory_that_runs_out_loses_nothing);
     RUN(lamps_that_go_out);
+    RUN(updates_that_fail_see_no_move);
     RUN(lamps_that_fade);
     RUN(lamps_that_change_before_the_next_try);
     RUN(crowds_in_cells);
