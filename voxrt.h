@@ -21732,9 +21732,10 @@ VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const
     voxrt_columns_insert_desc d;
     voxrti_insert in;
     voxrt_result r;
-    if ((xyz == NULL && count != 0) || (stride != 0 && stride < 12)) return VOXRT_ERR_INVALID_ARG;
     r = voxrti_insert_open(&in, columns, desc, &d);
     if (r != VOXRT_OK) return r;
+    if ((xyz == NULL && count != 0) || (stride != 0 && stride < 12))
+        return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no points, or a stride below 12");
     if (count / (VOXRTI_INSERT_TASK * 16) >= 0x7fffffff)
         return voxrti_fail(d.env.error, VOXRT_ERR_RANGE, count, "% points are too many");
     in.points = (const uint8_t *)xyz;
@@ -24063,8 +24064,8 @@ static void voxrti_gi_find_ways(voxrt_gi *gi) {
     }
 }
 
-/* Voxelise the layers of one volume that changed, keep what bounced. If the call fails, here or later, the next one goes
-   on with what the last one that ended well has left. */
+/* Voxelise the layers of one volume that changed, keep what bounced. If the call fails, here or later, the next one
+   goes on with what the last one that ended well has left. */
 static voxrt_result voxrti_gi_update_one(voxrt_gi *gi) {
     voxrt_columns *c = gi->columns;
     const size_t words = (size_t)c->size[0] * c->size[1] * c->words;
@@ -24174,7 +24175,8 @@ static voxrt_result voxrti_gi_object_check(const voxrt_gi *gi, const voxrt_gi_ob
     uint32_t a;
     int ok = 1;
     voxrt_result r;
-    if (gi == NULL || o == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (o == NULL) return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0, "no object");
     r = voxrti_mesh_check(&o->mesh, VOXRTI_INSERT_MOST, gi->env.error);
     if (r != VOXRT_OK) return r;
     for (a = 0; a < 12; a++) ok &= voxrti_finite(o->to_world[a]);
@@ -24347,7 +24349,8 @@ VOXRT_DEF voxrt_result voxrt_gi_set_lights(voxrt_gi *gi, const voxrt_gi_light *l
     voxrti_gi_up *up = NULL;
     size_t i;
     uint32_t a;
-    if (gi == NULL || (lights == NULL && count != 0)) return VOXRT_ERR_INVALID_ARG;
+    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (lights == NULL && count != 0) return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0, "lights is NULL");
     if (count != 0) {
         copy = (voxrt_gi_light *)voxrti_alloc_array(&gi->mem, count, sizeof *copy);
         if (copy == NULL) return voxrti_fail(gi->env.error, VOXRT_ERR_NO_MEMORY, count, "no memory for % lights");
@@ -24541,7 +24544,8 @@ VOXRT_DEF void voxrt_gi_destroy(voxrt_gi *gi) {
 VOXRT_DEF voxrt_result voxrt_gi_follow(voxrt_gi *gi, const double centre[3], uint32_t *out_moved) {
     uint32_t a;
     if (out_moved != NULL) *out_moved = 0;
-    if (gi == NULL || centre == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (gi == NULL) return VOXRT_ERR_INVALID_ARG;
+    if (centre == NULL) return voxrti_fail(gi->env.error, VOXRT_ERR_INVALID_ARG, 0, "no centre");
     for (a = 0; a < 3; a++) {
         const uint32_t w = gi->columns->axis[a];
         if (!(voxrti_abs(centre[w]) < 1e12) ||
@@ -27090,8 +27094,10 @@ static voxrt_result voxrti_gi_render_open(const voxrt_gi_render_desc *desc, voxr
     if (desc != NULL) *d = *desc;
     else memset(d, 0, sizeof *d);
     if (d->_begin_zero != 0 || d->_end_zero != 0) return VOXRT_ERR_UNINIT_DESC;
-    if (gi == NULL || g == NULL || (uint32_t)d->method > VOXRT_GI_VPL || (uint32_t)d->isa > 4u ||
-        (uint32_t)d->lookup > VOXRT_GI_LOOKUP_MAPS) return VOXRT_ERR_INVALID_ARG;
+    if (gi == NULL || g == NULL)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no scene, or no G-buffer");
+    if ((uint32_t)d->method > VOXRT_GI_VPL || (uint32_t)d->isa > 4u || (uint32_t)d->lookup > VOXRT_GI_LOOKUP_MAPS)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "unknown method, isa or lookup");
     if (!(d->radius >= 0.0f) || !(d->shadow_lift >= 0.0f) || d->rays > 1u << 20 || d->bounces > 1u << 10 ||
         d->filter > 1u << 16 || d->direct_filter > 1u << 16)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "rays, bounces, radius or filter out of range");
@@ -27308,7 +27314,9 @@ VOXRT_DEF voxrt_result voxrt_gi_bounce(voxrt_gi *gi, const voxrt_env *env, uint3
     voxrt_gi *g;
     uint32_t *next[8][2], l, k;
     voxrt_result r = VOXRT_OK;
-    if (gi == NULL || !(weight >= 0.0f && weight <= 1.0f) || rays > 1u << 20) return VOXRT_ERR_INVALID_ARG;
+    if (gi == NULL || !(weight >= 0.0f && weight <= 1.0f) || rays > 1u << 20)
+        return voxrti_fail(env != NULL ? env->error : NULL, VOXRT_ERR_INVALID_ARG, 0,
+                           "no scene, or rays or weight out of range");
     memset(&b, 0, sizeof b);
     memset(next, 0, sizeof next);
     if (env != NULL) b.desc.env = *env;
@@ -27436,16 +27444,29 @@ static void voxrti_task_gbuffer(void *ctx, uint32_t tile) {
     }
 }
 
+/* What is wrong with the arguments of those that fill in a G-buffer, or NULL. */
+static const char *voxrti_gbuffer_wrong(const voxrt_gbuffer *g, int albedo) {
+    if (g == NULL) return "no G-buffer";
+    if (g->width == 0 || g->height == 0) return NULL;
+    if (g->width > 65535 || g->height > 65535) return "a side of the G-buffer is over 65535";
+    if (g->position == NULL || g->normal == NULL || (albedo && g->albedo == NULL))
+        return "the G-buffer has no position, normal or albedo";
+    return NULL;
+}
+
 static voxrt_result voxrti_gbuffer_run(const voxrt_env *env, const voxrt_camera *camera, const voxrt_geometry *geometry,
                                        const voxrt_gi *gi, const voxrt_gbuffer *g) {
     voxrti_gbuffer_work w;
+    const char *wrong = voxrti_gbuffer_wrong(g, 1);
     voxrt_env none;
     voxrt_result r;
     memset(&none, 0, sizeof none);
-    if (camera == NULL || g == NULL || (geometry == NULL && gi == NULL)) return VOXRT_ERR_INVALID_ARG;
+    if (env == NULL) env = &none;
+    if (camera == NULL) wrong = "no camera";
+    if (geometry == NULL && gi == NULL) wrong = "no geometry, or no scene";
+    if (geometry != NULL && geometry->trace_fn == NULL) wrong = "geometry without functions";
+    if (wrong != NULL) return voxrti_fail(env->error, VOXRT_ERR_INVALID_ARG, 0, wrong);
     if (g->width == 0 || g->height == 0) return VOXRT_OK;
-    if (g->position == NULL || g->normal == NULL || g->albedo == NULL || g->width > 65535 || g->height > 65535)
-        return VOXRT_ERR_INVALID_ARG;
     memset(&w, 0, sizeof w);
     w.g = g;
     w.geometry = geometry;
@@ -27453,18 +27474,19 @@ static voxrt_result voxrti_gbuffer_run(const voxrt_env *env, const voxrt_camera 
     w.tiles_x = (g->width + 7) / 8;
     voxrti_srgb_open(&w.srgb);
     r = voxrti_frame_open(camera, g->height, &w.frame);
-    if (r != VOXRT_OK) return r;
-    voxrti_parallel_for(env != NULL ? env : &none, voxrti_task_gbuffer, &w, w.tiles_x * ((g->height + 7) / 8));
+    if (r != VOXRT_OK) return voxrti_fail(env->error, r, 0, "the camera is not finite, or looks nowhere");
+    voxrti_parallel_for(env, voxrti_task_gbuffer, &w, w.tiles_x * ((g->height + 7) / 8));
     return VOXRT_OK;
 }
 
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_geometry(const voxrt_env *env, const voxrt_camera *camera,
                                                    const voxrt_geometry *geometry, const voxrt_gbuffer *gbuffer) {
-    return geometry != NULL ? voxrti_gbuffer_run(env, camera, geometry, NULL, gbuffer) : VOXRT_ERR_INVALID_ARG;
+    return voxrti_gbuffer_run(env, camera, geometry, NULL, gbuffer);
 }
+
 VOXRT_DEF voxrt_result voxrt_gbuffer_from_gi(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                              const voxrt_gbuffer *gbuffer) {
-    return gi != NULL ? voxrti_gbuffer_run(env, camera, NULL, gi, gbuffer) : VOXRT_ERR_INVALID_ARG;
+    return voxrti_gbuffer_run(env, camera, NULL, gi, gbuffer);
 }
 
 /* ---- what a G-buffer does not know ---- */
@@ -27599,19 +27621,21 @@ static void voxrti_task_edges(void *ctx, uint32_t y) {
 VOXRT_DEF voxrt_result voxrt_gbuffer_edges(const voxrt_env *env, const voxrt_camera *camera, const voxrt_gi *gi,
                                            const voxrt_gbuffer *gbuffer) {
     voxrti_edge_work w;
+    const char *wrong = voxrti_gbuffer_wrong(gbuffer, 0);
     voxrt_env none;
     voxrt_result r;
-    if (gi == NULL || gbuffer == NULL || camera == NULL) return VOXRT_ERR_INVALID_ARG;
-    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
-    if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->width > 65535 || gbuffer->height > 65535)
-        return VOXRT_ERR_INVALID_ARG;
     memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    if (camera == NULL) wrong = "no camera";
+    if (gi == NULL) wrong = "no scene";
+    if (wrong != NULL) return voxrti_fail(env->error, VOXRT_ERR_INVALID_ARG, 0, wrong);
+    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
     w.gi = gi;
     w.g = gbuffer;
     r = voxrti_frame_open(camera, gbuffer->height, &w.frame);
-    if (r == VOXRT_OK)
-        voxrti_parallel_for(env != NULL ? env : &none, voxrti_task_edges, &w, gbuffer->height);
-    return r;
+    if (r != VOXRT_OK) return voxrti_fail(env->error, r, 0, "the camera is not finite, or looks nowhere");
+    voxrti_parallel_for(env, voxrti_task_edges, &w, gbuffer->height);
+    return VOXRT_OK;
 }
 
 typedef struct voxrti_material_work { const voxrt_gi *gi; const voxrt_gbuffer *g; } voxrti_material_work;
@@ -27640,15 +27664,16 @@ static void voxrti_task_materials(void *ctx, uint32_t y) {
 
 VOXRT_DEF voxrt_result voxrt_gbuffer_materials(const voxrt_env *env, const voxrt_gi *gi, const voxrt_gbuffer *gbuffer) {
     voxrti_material_work w;
+    const char *wrong = voxrti_gbuffer_wrong(gbuffer, 0);
     voxrt_env none;
-    if (gi == NULL || gbuffer == NULL) return VOXRT_ERR_INVALID_ARG;
-    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
-    if (gbuffer->position == NULL || gbuffer->normal == NULL || gbuffer->width > 65535 || gbuffer->height > 65535)
-        return VOXRT_ERR_INVALID_ARG;
     memset(&none, 0, sizeof none);
+    if (env == NULL) env = &none;
+    if (gi == NULL) wrong = "no scene";
+    if (wrong != NULL) return voxrti_fail(env->error, VOXRT_ERR_INVALID_ARG, 0, wrong);
+    if (gbuffer->width == 0 || gbuffer->height == 0) return VOXRT_OK;
     w.gi = gi;
     w.g = gbuffer;
-    voxrti_parallel_for(env != NULL ? env : &none, voxrti_task_materials, &w, gbuffer->height);
+    voxrti_parallel_for(env, voxrti_task_materials, &w, gbuffer->height);
     return VOXRT_OK;
 }
 

@@ -110,7 +110,7 @@ TEST(bad_input) {
         for (stride = 1; stride < 12; stride++) {
             m.position_stride = stride;
             CHECK(voxrt_columns_insert(c, &in, &m, NULL) == VOXRT_ERR_INVALID_ARG && strstr(e.text, "stride") != NULL);
-            CHECK(voxrt_columns_insert_points(c, &in, p, stride, 3, NULL) == VOXRT_ERR_INVALID_ARG);
+            CHECK(voxrt_columns_insert_points(c, &in, p, stride, 3, NULL) == VOXRT_ERR_INVALID_ARG && strstr(e.text, "points") != NULL);
         }
         m.position_stride = 12;
         CHECK(voxrt_columns_insert(c, &in, &m, NULL) == VOXRT_OK);

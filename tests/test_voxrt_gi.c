@@ -2524,6 +2524,73 @@ TEST(bad_input) {
     voxrt_gi_destroy(NULL);
 }
 
+#define SAYS(call, what) \
+    do { \
+        memset(&error, 0, sizeof error); \
+        CHECK_MSG((call) == VOXRT_ERR_INVALID_ARG && error.code == VOXRT_ERR_INVALID_ARG && strstr(error.text, what) != NULL, "%s: %s", #call, \
+                  error.text); \
+    } while (0)
+
+TEST(errors_say_what_is_wrong) {
+    voxrt_error error;
+    voxrt_gi_desc gd;
+    voxrt_gi_render_desc d;
+    voxrt_gi *gi = NULL;
+    voxrt_camera camera, nowhere;
+    voxrt_geometry none;
+    voxrt_gbuffer g, empty;
+    voxrt_env env;
+    float p[3] = {0, 0, 0}, n[3] = {0, 1, 0};
+    uint32_t k;
+    memset(&gd, 0, sizeof gd);
+    memset(&d, 0, sizeof d);
+    memset(&camera, 0, sizeof camera);
+    memset(&nowhere, 0, sizeof nowhere);
+    memset(&none, 0, sizeof none);
+    memset(&g, 0, sizeof g);
+    memset(&env, 0, sizeof env);
+    env.error = gd.env.error = d.env.error = &error;
+    env.thread_count = d.env.thread_count = 1;
+    gd.columns.size_x = gd.columns.size_y = 16;
+    gd.columns.size_z = 64;
+    for (k = 0; k < 3; k++) gd.columns.box_max[k] = 1;
+    camera.eye[2] = 2;
+    g.width = g.height = 1;
+    empty = g;
+    g.position = p;
+    g.normal = g.albedo = n;
+    REQUIRE(voxrt_gi_create(&gd, &gi) == VOXRT_OK);
+    SAYS(voxrt_gi_add(gi, NULL, NULL), "object");
+    SAYS(voxrt_gi_set(gi, 0, NULL), "object");
+    SAYS(voxrt_gi_set_lights(gi, NULL, 2), "lights");
+    SAYS(voxrt_gi_follow(gi, NULL, NULL), "centre");
+    SAYS(voxrt_gi_bounce(NULL, &env, 16, 0, 0), "scene");
+    SAYS(voxrt_gi_bounce(gi, &env, 16, 2, 0), "weight");
+    SAYS(voxrt_gi_bounce(gi, &env, (1u << 20) + 1, 0, 0), "rays");
+    SAYS(voxrt_gi_render(&d, NULL, &g, NULL, NULL, NULL), "scene");
+    SAYS(voxrt_gi_render(&d, gi, NULL, NULL, NULL, NULL), "G-buffer");
+    d.method = (voxrt_gi_method)9;
+    SAYS(voxrt_gi_render(&d, gi, &g, NULL, NULL, NULL), "method");
+    d.method = VOXRT_GI_NONE;
+    SAYS(voxrt_gbuffer_from_gi(&env, &camera, NULL, &g), "scene");
+    SAYS(voxrt_gbuffer_from_gi(&env, NULL, gi, &g), "camera");
+    SAYS(voxrt_gbuffer_from_gi(&env, &nowhere, gi, &g), "camera");
+    SAYS(voxrt_gbuffer_from_gi(&env, &camera, gi, NULL), "G-buffer");
+    SAYS(voxrt_gbuffer_from_gi(&env, &camera, gi, &empty), "position");
+    SAYS(voxrt_gbuffer_from_geometry(&env, &camera, NULL, &g), "geometry");
+    SAYS(voxrt_gbuffer_edges(&env, NULL, gi, &g), "camera");
+    SAYS(voxrt_gbuffer_edges(&env, &nowhere, gi, &g), "camera");
+    SAYS(voxrt_gbuffer_edges(&env, &camera, NULL, &g), "scene");
+    SAYS(voxrt_gbuffer_edges(&env, &camera, gi, &empty), "position");
+    SAYS(voxrt_gbuffer_materials(&env, NULL, &g), "scene");
+    SAYS(voxrt_gbuffer_materials(&env, gi, &empty), "position");
+    g.width = 65536;
+    SAYS(voxrt_gbuffer_materials(&env, gi, &g), "65535");
+    CHECK(voxrt_gbuffer_from_gi(NULL, NULL, gi, &g) == VOXRT_ERR_INVALID_ARG); /* without a place to say it */
+    CHECK(voxrt_gi_follow(NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG && voxrt_gi_add(NULL, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    voxrt_gi_destroy(gi);
+}
+
 /* Pixels of a G-buffer that are none among others: normals that are no unit vectors, positions, exponents. No other pixel
    gets a value that is none from them. */
 TEST(pixels_that_are_none) {
@@ -3054,6 +3121,7 @@ int main(int argc, char **argv) {
     RUN(volumes_that_follow_leave_no_seam);
     RUN(tones);
     RUN(bad_input);
+    RUN(errors_say_what_is_wrong);
     RUN(pixels_that_are_none);
     RUN(memory);
     RUN(memory_that_runs_out_loses_nothing);
