@@ -18198,6 +18198,7 @@ VOXRT_DEF voxrt_result voxrt_model_box(voxrt_model *model, const voxrt_edit_desc
     uint32_t a;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
     if (r != VOXRT_OK || e.m == NULL) return r;
+    if (box_min == NULL || box_max == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no box");
     for (a = 0; a < 3; a++) {
         if (!voxrti_finite(box_min[a]) || !voxrti_finite(box_max[a]))
             return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "the box is not finite");
@@ -18216,6 +18217,7 @@ VOXRT_DEF voxrt_result voxrt_model_sphere(voxrt_model *model, const voxrt_edit_d
     uint32_t a;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
     if (r != VOXRT_OK || e.m == NULL) return r;
+    if (centre == NULL) return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no centre");
     if (!voxrti_finite(centre[0]) || !voxrti_finite(centre[1]) || !voxrti_finite(centre[2]) || !voxrti_finite(radius))
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "the sphere is not finite");
     if (!(radius > 0.0)) return VOXRT_OK;
@@ -27098,6 +27100,8 @@ static voxrt_result voxrti_gi_render_open(const voxrt_gi_render_desc *desc, voxr
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "no scene, or no G-buffer");
     if ((uint32_t)d->method > VOXRT_GI_VPL || (uint32_t)d->isa > 4u || (uint32_t)d->lookup > VOXRT_GI_LOOKUP_MAPS)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "unknown method, isa or lookup");
+    if (d->shadow != NULL && d->shadow->occluded_fn == NULL)
+        return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "shadow is geometry without functions");
     if (!(d->radius >= 0.0f) || !(d->shadow_lift >= 0.0f) || d->rays > 1u << 20 || d->bounces > 1u << 10 ||
         d->filter > 1u << 16 || d->direct_filter > 1u << 16)
         return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, 0, "rays, bounces, radius or filter out of range");

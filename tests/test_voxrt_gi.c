@@ -2572,6 +2572,9 @@ TEST(errors_say_what_is_wrong) {
     d.method = (voxrt_gi_method)9;
     SAYS(voxrt_gi_render(&d, gi, &g, NULL, NULL, NULL), "method");
     d.method = VOXRT_GI_NONE;
+    d.shadow = &none;
+    SAYS(voxrt_gi_render(&d, gi, &g, n, NULL, NULL), "functions");
+    SAYS(voxrt_gbuffer_from_geometry(&env, &camera, &none, &g), "functions");
     SAYS(voxrt_gbuffer_from_gi(&env, &camera, NULL, &g), "scene");
     SAYS(voxrt_gbuffer_from_gi(&env, NULL, gi, &g), "camera");
     SAYS(voxrt_gbuffer_from_gi(&env, &nowhere, gi, &g), "camera");

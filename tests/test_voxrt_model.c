@@ -771,6 +771,9 @@ TEST(arguments) {
     CHECK(s.t == INFINITY && hidden == 0 && !voxrt_model_get(m, 0, 0, 0, 0, NULL) && g.box_max[0] == 8.0);
     CHECK(voxrt_model_box(m, &d, lo, bad, &stats) == VOXRT_ERR_INVALID_ARG && error.code == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_model_sphere(m, &d, bad, 1.0, &stats) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_model_box(m, &d, NULL, hi, &stats) == VOXRT_ERR_INVALID_ARG && strcmp(error.text, "no box") == 0);
+    CHECK(voxrt_model_box(m, &d, lo, NULL, &stats) == VOXRT_ERR_INVALID_ARG && strcmp(error.text, "no box") == 0);
+    CHECK(voxrt_model_sphere(m, &d, NULL, 1.0, &stats) == VOXRT_ERR_INVALID_ARG && strcmp(error.text, "no centre") == 0);
     CHECK(voxrt_model_sphere(m, &d, lo, -1.0, &stats) == VOXRT_OK && stats.filled == 0);
     CHECK(voxrt_model_box(m, &d, hi, lo, &stats) == VOXRT_OK && stats.filled == 0);
     CHECK(voxrt_model_box(m, &d, lo, hi, &stats) == VOXRT_OK && stats.filled == 512 && stats.blocks == 1);
