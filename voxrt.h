@@ -21588,6 +21588,7 @@ static void voxrti_task_insert_points(void *ctx, uint32_t index) {
     size_t i = (size_t)index * VOXRTI_INSERT_TASK * 16, end = i + VOXRTI_INSERT_TASK * 16;
     uint64_t rejected = 0, outside = 0;
     end = end < in->count ? end : in->count;
+    if (!voxrti_ask_work(in->ask, VOXRTI_INSERT_TASK)) return; /* 16 points take as long as a triangle */
 #if VOXRTI_AVX2
     if (in->isa >= VOXRT_ISA_AVX2) i = voxrti_insert_points_avx2(in, i, end, &rejected, &outside);
 #endif
@@ -21733,8 +21734,8 @@ VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const
                                                    voxrt_columns_insert_stats *stats) {
     voxrt_columns_insert_desc d;
     voxrti_insert in;
-    voxrt_result r;
-    r = voxrti_insert_open(&in, columns, desc, &d);
+    voxrti_ask ask;
+    voxrt_result r = voxrti_insert_open(&in, columns, desc, &d);
     if (r != VOXRT_OK) return r;
     if ((xyz == NULL && count != 0) || (stride != 0 && stride < 12))
         return voxrti_fail(d.env.error, VOXRT_ERR_INVALID_ARG, 0, "no points, or a stride below 12");
@@ -21743,8 +21744,11 @@ VOXRT_DEF voxrt_result voxrt_columns_insert_points(voxrt_columns *columns, const
     in.points = (const uint8_t *)xyz;
     in.point_stride = stride != 0 ? stride : 12;
     in.count = count;
+    in.ask = &ask;
+    voxrti_ask_open(&ask, &d.env, 1);
     voxrti_parallel_for(&d.env, voxrti_task_insert_points, &in,
                         (uint32_t)((count + VOXRTI_INSERT_TASK * 16 - 1) / (VOXRTI_INSERT_TASK * 16)));
+    if (ask.cancelled) return voxrti_fail(d.env.error, VOXRT_ERR_CANCELLED, 0, "cancelled");
     if (stats != NULL) {
         stats->items += count;
         stats->rejected += voxrti_tally(in.rejected);

@@ -1388,6 +1388,52 @@ TEST(tangent_planes_instead_of_offsets) {
     }
 }
 
+typedef struct asked { uint32_t calls, stop; } asked;
+static int asked_fn(void *user, uint64_t done, uint64_t total) {
+    asked *a = (asked *)user;
+    return ++a->calls == a->stop || done > total;
+}
+
+TEST(points_can_be_cancelled) { /* some of them are cells then; without a stop all are, on any number of threads */
+    enum { N = 1 << 22, CELLS = 64 * 64 * 64 };
+    voxrt_columns_desc cd;
+    voxrt_columns_insert_desc d;
+    float *p = (float *)malloc((size_t)N * 12);
+    uint32_t i, k, threads;
+    REQUIRE(p != NULL);
+    memset(&cd, 0, sizeof cd);
+    cd.size_x = cd.size_y = cd.size_z = 64;
+    cd.depth_axis_plus_1 = 3;
+    for (k = 0; k < 3; k++) cd.box_max[k] = 64.0;
+    for (i = 0; i < N; i++) { /* each cell, one after the other */
+        p[3 * i] = (float)(i / (N / CELLS) % 64) + 0.5f;
+        p[3 * i + 1] = (float)(i / (N / CELLS) / 64 % 64) + 0.5f;
+        p[3 * i + 2] = (float)(i / (N / 64)) + 0.5f;
+    }
+    for (threads = 1; threads <= 3; threads++)
+        for (k = 0; k < 3; k++) {
+            voxrt_columns *c = NULL;
+            voxrt_columns_info info;
+            voxrt_columns_insert_stats stats;
+            voxrt_error error;
+            asked a = {0, k};
+            memset(&d, 0, sizeof d);
+            memset(&stats, 0, sizeof stats);
+            memset(&error, 0, sizeof error);
+            d.env.thread_count = threads;
+            d.env.progress_fn = asked_fn;
+            d.env.progress_user = &a;
+            d.env.error = &error;
+            REQUIRE(voxrt_columns_create(&cd, &c) == VOXRT_OK);
+            CHECK(voxrt_columns_insert_points(c, &d, p, 0, N, &stats) == (k == 0 ? VOXRT_OK : VOXRT_ERR_CANCELLED));
+            voxrt_columns_get_info(c, &info);
+            if (k == 0) CHECK(a.calls > 1 && stats.items == N && info.cells == CELLS);
+            else CHECK(a.calls == k && stats.items == 0 && info.cells < CELLS && error.code == VOXRT_ERR_CANCELLED);
+            voxrt_columns_destroy(c);
+        }
+    free(p);
+}
+
 TEST(memory) { /* each request refused, of all that sets cells; nothing is set then */
     voxrt_columns_desc d;
     voxrt_columns_insert_desc in;
@@ -1468,6 +1514,7 @@ int main(int argc, char **argv) {
     RUN(times_of_hits_are_finite);
     RUN(a_hit_lies_on_its_face);
     RUN(tangent_planes_instead_of_offsets);
+    RUN(points_can_be_cancelled);
     RUN(memory);
     return test_end();
 }
