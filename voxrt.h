@@ -1387,7 +1387,7 @@ typedef enum voxrt_columns_mode {
    size_x, size_y     256 cells across the depth; powers of two, 4 to 4096
    size_z             128 cells along the depth; 64, 128 or 256
    depth_axis_plus_1  the shortest side of the box; 1, 2, 3: x, y, z. The other two follow in cyclic order
-   box_min, box_max   (no default) world box, every side longer than 0 */
+   box_min, box_max   (no default) world box, every side from 1e-150 to 1e150 long */
 typedef struct voxrt_columns_desc {
     uint32_t _begin_zero;
     voxrt_env env;
@@ -20520,6 +20520,8 @@ static voxrt_result voxrti_columns_open(const voxrt_columns_desc *d, voxrt_colum
         side[a] = d->box_max[a] - d->box_min[a];
         if (!voxrti_finite(d->box_min[a]) || !voxrti_finite(side[a]) || !(side[a] > 0.0))
             return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, a, "side % of the box is not longer than 0");
+        if (!(side[a] >= 1e-150 && side[a] <= 1e150)) /* its square, and the speed of any ray in cells, are doubles */
+            return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, a, "side % of the box is not in 1e-150..1e150");
     }
     if (depth > 3) return voxrti_fail(d->env.error, VOXRT_ERR_INVALID_ARG, depth, "there is no axis %");
     if (depth == 0) depth = side[0] < side[1] ? (side[0] < side[2] ? 1 : 3) : side[1] < side[2] ? 2 : 3;

@@ -1271,6 +1271,58 @@ TEST(times_of_hits_are_finite) { /* rays with directions next to 0 take longer t
     voxrt_columns_destroy(c);
 }
 
+TEST(boxes_of_any_size) { /* as far as rays through them have a speed that is a number; others are refused */
+    static const double edge[8] = {1e-285, 0.99e-150, 1e-150, 1e-60, 1e60, 1e150, 1.01e150, 1e300};
+    static const voxrt_isa isa[4] = {VOXRT_ISA_SCALAR, VOXRT_ISA_SSE, VOXRT_ISA_AVX2, VOXRT_ISA_AVX512};
+    uint32_t i, k, a;
+    for (i = 0; i < 8; i++)
+        for (a = 0; a < 3; a++) {
+            voxrt_columns_desc d;
+            voxrt_columns *c = NULL;
+            voxrt_error error;
+            voxrt_columns_info info;
+            voxrt_ray rays[8];
+            voxrt_column_hit hit[8], first[8];
+            voxrt_result r;
+            memset(&d, 0, sizeof d);
+            memset(&error, 0, sizeof error);
+            d.env.error = &error;
+            d.size_x = d.size_y = 16;
+            d.size_z = 64;
+            d.depth_axis_plus_1 = 3;
+            for (k = 0; k < 3; k++) d.box_max[k] = i >= 2 && i < 6 ? edge[i] : 1.0;
+            d.box_max[a] = edge[i];
+            r = voxrt_columns_create(&d, &c);
+            if (i < 2 || i >= 6) {
+                CHECK(r == VOXRT_ERR_INVALID_ARG && c == NULL && error.where == a && strstr(error.text, "1e-150..1e150") != NULL);
+                continue;
+            }
+            REQUIRE(r == VOXRT_OK);
+            voxrt_columns_get_info(c, &info);
+            CHECK(info.diagonal > 0.08 * edge[i] && info.diagonal < 0.1 * edge[i]);
+            c->bits[voxrti_column(c, 0, 0, 0)] = 1; /* the corner in which all of them start */
+            c->bits[voxrti_column(c, 0, 15, 15)] = 1;
+            c->all_changed = 1;
+            voxrt_columns_update(c);
+            memset(rays, 0, sizeof rays);
+            for (k = 0; k < 8; k++) {
+                rays[k].dir[0] = k % 2 ? 3e38f : 1e-45f;
+                rays[k].dir[1] = k & 2 ? 3e38f : 1e-45f;
+                rays[k].dir[2] = k & 4 ? 3e38f : 1e-45f;
+                rays[k].t_max = INFINITY;
+            }
+            for (k = 0; k < 4; k++) {
+                voxrt_columns_trace_desc td;
+                memset(&td, 0, sizeof td);
+                td.isa = isa[k];
+                CHECK(voxrt_columns_trace(c, &td, rays, hit, 8) == VOXRT_OK);
+                if (k == 0) memcpy(first, hit, sizeof hit);
+                CHECK(hit[0].t == 0.0f && hit[7].t == 0.0f && memcmp(first, hit, sizeof hit) == 0);
+            }
+            voxrt_columns_destroy(c);
+        }
+}
+
 TEST(a_hit_lies_on_its_face) {
     voxrt_columns *c = make(128, 64, 128);
     uint32_t i, k, hits = 0;
@@ -1512,6 +1564,7 @@ int main(int argc, char **argv) {
     RUN(rays_in_all_ways_the_same);
     RUN(rays_explained);
     RUN(times_of_hits_are_finite);
+    RUN(boxes_of_any_size);
     RUN(a_hit_lies_on_its_face);
     RUN(tangent_planes_instead_of_offsets);
     RUN(points_can_be_cancelled);
