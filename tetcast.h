@@ -24978,9 +24978,9 @@ static int tetcasti_rbf_meet(const tetcasti_rbf_group *g, const tetcasti_rbf_rec
     return tetcasti_rbf_meet_range(g, lo, hi, half, r);
 }
 
-/* Samples of a Gaussian are a chain of products (below) where all of it is above 2^-118 on the rays that it touches, else
-   powers one by one: a chain that begins where it is less than a float begins with another number, which grows on the
-   way to the middle. Rays on which it is less than that everywhere have 0. */
+/* Samples of a Gaussian are a chain of products (below) where all of it is above 2^-118 on the rays that it touches,
+   else powers one by one: a chain that begins where it is less than a float begins with another number, which grows on
+   the way to the middle. Rays on which it is less than that everywhere have 0. */
 #define TETCASTI_RBF_LEAST -118.0f
 TETCASTI_INLINE int tetcasti_rbf_chain(const tetcasti_rbf_group *g, const tetcasti_rbf_record *f,
                                        const tetcasti_rbf_reach *r) {
