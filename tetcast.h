@@ -4497,7 +4497,7 @@ static void tetcasti_task_values(void *ctx, uint32_t chunk) {
     bad[chunk] = 0;
     for (; i < end; i++) {
         double d = tetcasti_array_get(&in->values, stride, source[i], 0);
-        float v = d >= -3.4028234e38 && d <= 3.4028234e38 ? tetcasti_value_clamp((float)d) : (float)NAN;
+        float v = tetcasti_finite(d) ? (float)tetcasti_max(-1e38, tetcasti_min(d, 1e38)) : (float)NAN;
         out->value[i] = v;
         if (tetcasti_finite_f(v)) {
             lo = v < lo ? v : lo;

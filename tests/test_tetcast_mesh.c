@@ -969,7 +969,7 @@ TEST(bad_values) { /* NaN hides the cells around, with per-vertex and per-cell v
         memset(&in, 0, sizeof in);
         memset(&f, 0, sizeof f);
         tets_lattice(&t, 5, 4, 4, 6, NULL);
-        for (i = 0; i < 400; i++) value[i] = i == 31 ? (double)NAN : i == 45 ? (double)INFINITY : i == 50 ? 1e300 : (double)i;
+        for (i = 0; i < 400; i++) value[i] = i == 31 ? (double)NAN : i == 45 ? (double)INFINITY : i == 50 ? -(double)INFINITY : (double)i;
         f.values.data = value;
         f.values.type = TETCAST_TYPE_F64;
         f.per_cell = per_cell;
@@ -1020,6 +1020,45 @@ TEST(bad_values) { /* NaN hides the cells around, with per-vertex and per-cell v
         CHECK_EQ_U64(tetcast_mesh_create(&d, &in, &r, &m), TETCAST_ERR_FORMAT);
         tets_free(&t);
     }
+}
+
+TEST(values_beyond) { /* finite: they are as 1e38 */
+    static const float position[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    static const uint32_t index[4] = {0, 1, 2, 3};
+    static const double wide[] = {3.40282347e38, 3.4028234e38, 1e39, 1e308, -1e39, -1.7e308, 1e38};
+    uint32_t i, type;
+    for (type = 0; type < 2; type++)
+        for (i = 0; i < 7; i++) {
+            float value[4] = {1, 1, 1, 1}, lo = 0, hi = 0;
+            double values[4] = {1, 1, 1, 1};
+            tetcast_field f;
+            tetcast_input in;
+            tetcast_mesh_desc d = defaults();
+            tetcast_report r;
+            tetcast_mesh *m = NULL;
+            memset(&f, 0, sizeof f);
+            memset(&in, 0, sizeof in);
+            if (type == 0 && fabs(wide[i]) > 3.41e38) continue;
+            values[2] = wide[i];
+            value[2] = (float)(type == 0 ? wide[i] : 0.0);
+            if (type == 0) f.values.data = value;
+            else f.values.data = values;
+            f.values.type = type == 0 ? TETCAST_TYPE_F32 : TETCAST_TYPE_F64;
+            in.positions.data = position;
+            in.vertex_count = 4;
+            in.indices = index;
+            in.index_count = 4;
+            in.cell_count = 1;
+            in.fields = &f;
+            in.field_count = 1;
+            d.strict = 1;
+            CHECK_EQ_U64(tetcast_mesh_create(&d, &in, &r, &m), TETCAST_OK);
+            REQUIRE(m != NULL);
+            CHECK_EQ_U64(r.bad_values, 0);
+            CHECK(tetcast_mesh_field(m, 0, &lo, &hi) != NULL && m->hidden == NULL);
+            CHECK(wide[i] > 0 ? lo == 1.0f && hi == 1e38f : lo == -1e38f && hi == 1.0f);
+            tetcast_mesh_destroy(m);
+        }
 }
 
 /* ---- arguments, memory, threads ---- */
@@ -1296,6 +1335,7 @@ int main(int argc, char **argv) {
     RUN(flat_cells);
     RUN(value_types);
     RUN(bad_values);
+    RUN(values_beyond);
     RUN(arguments);
     RUN(memory);
     RUN(memory_limit);
