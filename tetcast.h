@@ -1605,7 +1605,7 @@ TETCAST_DEF tetcast_result tetcast_render_bricks(const tetcast_brick_render_desc
 /* ---- parts of pictures: putting them together, sending them ---- */
 
 /* front := front over back; premultiplied linear rgba, 4 floats a pixel, `pixels` of them: the ranges of depth of a
-   frame, nearest first. Sums of finite numbers are finite: 3.4e38 at most. */
+   frame, nearest first. Sums of finite numbers are finite: 3.4e38 at most, -3.4e38 at least. */
 TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels);
 
 /* Fade the borders of a part whose neighbours show the same pixels (projectors side by side): `overlap` pixels on the
@@ -18621,7 +18621,7 @@ static uint32_t tetcasti_solid_hits(tetcasti_mem *mem, const tetcasti_solid *s, 
         }
         for (k = 8 * i; k < 8 * i + 8 && k < last; k++) {
             const uint32_t *f = s->face[k];
-            double p[3][2], z[3], u, v, w, e0, e1, e2;
+            double p[3][2], z[3], u, v, w, sum, e0, e1, e2;
             uint32_t c;
             for (c = 0; c < 3; c++) {
                 const double *q = s->point[f[c]];
@@ -18640,8 +18640,9 @@ static uint32_t tetcasti_solid_hits(tetcasti_mem *mem, const tetcasti_solid *s, 
                 out->failed = 1;
                 return 0;
             }
-            out->hit[n++] = (u + v) + w > 0.0 ? ((u * z[0] + v * z[1]) + w * z[2]) / ((u + v) + w) * r->inv
-                                              : z[0] * r->inv;
+            sum = (u + v) + w; /* products of three coordinates may be infinite where those of two are not */
+            out->hit[n++] = sum > 0.0 ? ((u / sum * z[0] + v / sum * z[1]) + w / sum * z[2]) * r->inv
+                                      : z[0] * r->inv;
         }
     }
     return n;
@@ -18774,6 +18775,17 @@ static int tetcasti_body_good(const tetcast_clip_body *b) {
 }
 
 TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out) {
+/* Halve the numbers of a plane together, exactly, until products with places do not overflow. */
+static void tetcasti_plane_scale(tetcast_clip_plane *p) {
+    const double most = 18446744073709551616.0, by = 1.0 / 18446744073709551616.0;
+    while (tetcasti_abs(p->normal[0]) > most || tetcasti_abs(p->normal[1]) > most ||
+           tetcasti_abs(p->normal[2]) > most) {
+        uint32_t a;
+        for (a = 0; a < 3; a++) p->normal[a] *= by;
+        p->offset *= by;
+    }
+}
+
     tetcast_clip_desc d;
     tetcasti_mem mem;
     tetcast_clip *c;
@@ -18807,6 +18819,7 @@ TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, te
     if (c->plane != NULL && d.plane_count != 0) memcpy(c->plane, d.planes, d.plane_count * sizeof *c->plane);
     c->plane_count = c->plane != NULL ? d.plane_count : 0;
     for (i = 0; c->plane != NULL && c->solid != NULL && i < d.body_count; i++) {
+    for (i = 0; i < c->plane_count; i++) tetcasti_plane_scale(&c->plane[i]);
         c->solid_count = i + 1;
         if (!tetcasti_solid_open(&c->mem, &d.bodies[i], &c->solid[i])) break;
     }
@@ -19159,9 +19172,16 @@ static void tetcasti_shade_gradient(const tetcast_mesh *mesh, uint32_t cell, flo
 typedef struct tetcasti_shade_cell { const tetcast_mesh *mesh; uint32_t cell; } tetcasti_shade_cell;
 
 static void tetcasti_shade_normal(void *user, float fraction, float normal[3]) {
+/* As tetcasti_normal: the direction only, so that flat cells have one. */
     const tetcasti_shade_cell *x = (const tetcasti_shade_cell *)user;
     (void)fraction;
-    tetcasti_shade_gradient(x->mesh, x->cell, normal);
+    const tetcasti_vertex *vertex = x->mesh->vertex;
+    const uint32_t *t = x->mesh->tet[x->cell];
+    double g[3], big, volume;
+    uint32_t a;
+    tetcasti_cell_gradient(&vertex[t[0]], &vertex[t[1]], &vertex[t[2]], &vertex[t[3]], g, &volume);
+    big = tetcasti_max(tetcasti_max(tetcasti_abs(g[0]), tetcasti_abs(g[1])), tetcasti_abs(g[2]));
+    for (a = 0; a < 3; a++) normal[a] = big > 0.0 && tetcasti_finite(big) ? (float)(g[a] / big) : 0.0f;
 }
 
 /* Shade the segments that wait. */
@@ -19224,11 +19244,14 @@ static void tetcasti_shade_optics(tetcasti_shade_ray *r, uint32_t cell, float fr
                !tetcasti_optics_empty(o, front < back ? front : back, front < back ? back : front)) r->depth = depth;
 }
 
-/* A tetrahedron: its parts in the spans. */
+/* A tetrahedron: its parts in the spans. A flat one has no length, but a surface may be in it. */
 static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
     tetcasti_shade_ray *r = (tetcasti_shade_ray *)user;
     const double way = x->t_back - x->t_front;
+    const tetcast_optics *o = r->c->optics;
+    const uint32_t *hidden = r->c->mesh->hidden;
     uint32_t s;
+    const int surface = o != NULL && o->iso_count != 0 && (x->front < x->back || x->front > x->back);
     r->steps++;
     while (r->at < r->spans->count && r->spans->span[r->at][1] <= x->t_front) r->at++;
     if (r->at == r->spans->count) return 1;
@@ -19239,10 +19262,12 @@ static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
         const float front = from > x->t_front ? x->front + rise * (float)((from - x->t_front) / way) : x->front;
         const float back = to < x->t_back ? x->front + rise * (float)((to - x->t_front) / way) : x->back;
         const float length = (float)(to - from);
-        if (!(to > from)) continue;
+        if (!(to > from) && !surface) continue;
         r->length += length;
-        if (r->c->optics != NULL) {
-            if (from > r->last) tetcasti_ray_gap(r->c->optics, &r->sum);
+        if (hidden != NULL && tetcasti_bit(hidden, x->cell)) {
+            if (o != NULL) tetcasti_ray_gap(o, &r->sum);
+        } else if (o != NULL) {
+            if (from > r->last) tetcasti_ray_gap(o, &r->sum);
             tetcasti_shade_optics(r, x->cell, front, back, length, (float)from);
         } else {
             r->packet.front[r->n] = front;
@@ -20449,7 +20474,7 @@ TETCAST_DEF void tetcast_over(float *front, const float *back, size_t pixels) {
         const float t = 1.0f - front[3];
         for (c = 0; c < 4; c++) {
             const float v = front[c] + t * back[c];
-            front[c] = v > most ? most : v;
+            front[c] = v > most ? most : v < -most ? -most : v;
         }
     }
 }

@@ -3937,6 +3937,210 @@ TEST(shaded_tetrahedra) {
     tets_free(&m);
 }
 
+static void half_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {
+    uint32_t i, a;
+    (void)user;
+    for (i = 0; i < 8; i++)
+        for (a = 0; a < 4 && (in->mask >> i & 1u) != 0; a++) rgba[a][i] = 0.5f;
+}
+
+/* Cells that are masked, or have a value that is no number, show nothing: as in the walker's picture. */
+TEST(shaded_without_hidden_cells) {
+    enum { W = 40, H = 32 };
+    static float rgba[3][W * H * 4], length[2][W * H];
+    static uint8_t masks[6 * 6 * 6 * 8];
+    tetcast_optics *o = flat_optics(0.6f, TETCAST_MODEL_VOLUME);
+    uint32_t kind, i, c;
+    REQUIRE(o != NULL);
+    for (kind = 0; kind < 3; kind++) { /* masked; NaN at some vertices; all masked */
+        tets m;
+        tetcast_field f;
+        tetcast_input in;
+        tetcast_mesh *mesh = NULL;
+        tetcast_mesh_info info;
+        tetcast_shade_desc d;
+        tetcast_render_desc rd;
+        tetcast_shader s;
+        tetcast_image image;
+        double worst = 0, worst_length = 0, seen = 0;
+        memset(&m, 0, sizeof m);
+        memset(&f, 0, sizeof f);
+        memset(&in, 0, sizeof in);
+        memset(&d, 0, sizeof d);
+        memset(&rd, 0, sizeof rd);
+        memset(&s, 0, sizeof s);
+        memset(&image, 0, sizeof image);
+        tets_lattice(&m, 6, 6, 6, 5, NULL);
+        make_linear(&m);
+        REQUIRE(m.nt <= sizeof masks);
+        for (i = 0; i < m.nt; i++) masks[i] = (uint8_t)(kind == 2 || i * 7 % 11 < 4);
+        for (i = 0; kind == 1 && i < m.nv; i += 23) m.s[i] = (float)NAN;
+        f.values.data = m.s;
+        in.positions.data = m.p;
+        in.positions.type = TETCAST_TYPE_F64;
+        in.vertex_count = m.nv;
+        in.indices = m.t;
+        in.index_count = 4 * m.nt;
+        in.cell_count = m.nt;
+        in.masks = kind == 1 ? NULL : masks;
+        in.fields = &f;
+        in.field_count = 1;
+        CHECK_EQ_U64(tetcast_mesh_create(NULL, &in, NULL, &mesh), TETCAST_OK);
+        REQUIRE(mesh != NULL);
+        tetcast_mesh_get_info(mesh, &info);
+        d.camera.fov_y = 50.0f;
+        CHECK_EQ_U64(tetcast_camera_fit(&d.camera, info.box_min, info.box_max, NULL, W, H), TETCAST_OK);
+        rd.camera = d.camera;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba[0];
+        image.length = length[0];
+        CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+        image.rgba = rgba[1];
+        image.length = length[1];
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+        s.shade_fn = half_shade;
+        d.shader = &s;
+        image.rgba = rgba[2];
+        image.length = NULL;
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, NULL, &image, NULL), TETCAST_OK);
+        for (i = 0; i < W * H; i++) {
+            for (c = 0; c < 4; c++)
+                worst = fmax(worst, fabs((double)rgba[0][4 * i + c] - (double)rgba[1][4 * i + c]));
+            worst_length = fmax(worst_length, fabs((double)length[0][i] - (double)length[1][i]));
+            CHECK((rgba[2][4 * i + 3] > 0.0f) == (rgba[0][4 * i + 3] > 0.0f));
+            seen = fmax(seen, (double)rgba[0][4 * i + 3]);
+        }
+        CHECK_MSG(worst < 1e-5 && worst_length < 1e-4, "%u: %g %g", kind, worst, worst_length);
+        CHECK(kind == 2 ? seen == 0.0 : seen > 0.5);
+        tetcast_mesh_destroy(mesh);
+        tets_free(&m);
+    }
+    tetcast_optics_destroy(o);
+}
+
+/* A square, cut along one diagonal by the tetrahedra before it and along the other one by those behind: the values jump
+   in the flat tetrahedron between, and the surface is nowhere else in half of the picture. */
+TEST(shaded_surface_in_a_flat_cell) {
+    enum { W = 32 };
+    static const float position[6][3] = {{0, 0, 0}, {0, 1, 0}, {0, 1, 1}, {0, 0, 1}, {-1, 0.5f, 0.5f}, {1, 0.5f, 0.5f}};
+    static const float value[6] = {1, 0, 1, 0, 1, 0};
+    static const uint32_t index[5][4] = {{0, 1, 2, 4}, {0, 2, 3, 4}, {0, 1, 2, 3}, {0, 1, 3, 5}, {1, 2, 3, 5}};
+    static float rgba[2][W * W * 4], depth[2][W * W];
+    tetcast_field f;
+    tetcast_input in;
+    tetcast_mesh *mesh = NULL;
+    tetcast_isovalue iso;
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    tetcast_shade_desc d;
+    tetcast_render_desc rd;
+    tetcast_image image;
+    uint32_t i, seen = 0;
+    memset(&f, 0, sizeof f);
+    memset(&in, 0, sizeof in);
+    memset(&iso, 0, sizeof iso);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    memset(&d, 0, sizeof d);
+    memset(&rd, 0, sizeof rd);
+    memset(&image, 0, sizeof image);
+    f.values.data = value;
+    in.positions.data = position;
+    in.vertex_count = 6;
+    in.indices = index[0];
+    in.index_count = 20;
+    in.cell_count = 5;
+    in.fields = &f;
+    in.field_count = 1;
+    CHECK_EQ_U64(tetcast_mesh_create(NULL, &in, NULL, &mesh), TETCAST_OK);
+    REQUIRE(mesh != NULL);
+    iso.value = 0.5f;
+    iso.rgb[0] = iso.rgb[1] = iso.rgb[2] = iso.opacity = 1.0f;
+    td.isovalues = &iso;
+    td.isovalue_count = 1;
+    od.model = TETCAST_MODEL_ISOSURFACE;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &t), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(t, &od, &o), TETCAST_OK);
+    REQUIRE(o != NULL);
+    d.camera.eye[0] = -5;
+    d.camera.eye[1] = d.camera.eye[2] = d.camera.at[1] = d.camera.at[2] = 0.5;
+    d.camera.ortho_height = 1.0f;
+    rd.camera = d.camera;
+    image.width = image.height = W;
+    image.rgba = rgba[0];
+    image.depth = depth[0];
+    CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+    image.rgba = rgba[1];
+    image.depth = depth[1];
+    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+    for (i = 0; i < 4 * W * W; i++) CHECK_NEAR((double)rgba[0][i], (double)rgba[1][i], 1e-5);
+    for (i = 0; i < W * W; i++) {
+        seen += rgba[0][4 * i + 3] > 0.5f;
+        CHECK((depth[0][i] < INFINITY) == (depth[1][i] < INFINITY));
+        if (depth[0][i] < INFINITY) CHECK_NEAR((double)depth[0][i], (double)depth[1][i], 1e-4);
+    }
+    CHECK(seen >= W * W / 2);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(t);
+    tetcast_mesh_destroy(mesh);
+}
+
+/* Bodies as large as they may be, and planes whose normals are: as those of size 1. */
+TEST(clips_of_any_size) {
+    static const double sizes[] = {1.0, 1e90, 1e110, 1e149};
+    double p[8][3], span[2][2];
+    tetcast_clip_body body;
+    tetcast_clip_plane plane;
+    tetcast_clip_desc d;
+    tetcast_clip *c = NULL;
+    tetcast_ray ray;
+    uint32_t i;
+    memset(&body, 0, sizeof body);
+    memset(&d, 0, sizeof d);
+    body.points = (const double (*)[3])p;
+    body.point_count = 8;
+    body.indices = g_cube;
+    body.triangle_count = 12;
+    d.bodies = &body;
+    d.body_count = 1;
+    for (i = 0; i < 4; i++) {
+        cube_points(p, -0.7 * sizes[i], sizes[i]);
+        memset(&ray, 0, sizeof ray);
+        ray.org[0] = 0.1 * sizes[i];
+        ray.org[1] = 0.02 * sizes[i];
+        ray.dir[0] = 1.0;
+        ray.dir[1] = 0.1;
+        ray.dir[2] = 0.2;
+        REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
+        CHECK_EQ_U64(tetcast_clip_spans(c, &ray, span, 2), 1);
+        CHECK(span[0][0] == 0.0);
+        CHECK_NEAR(span[0][1] / sizes[i], 0.9 * sqrt(1.05), 1e-9);
+        tetcast_clip_destroy(c);
+    }
+    d.body_count = 0;
+    d.planes = &plane;
+    d.plane_count = 1;
+    for (i = 0; i < 4; i++) { /* x >= y + 1 */
+        const double n = i == 0 ? 1.0 : i == 1 ? 1e30 : i == 2 ? 1e300 : 1e-300;
+        plane.normal[0] = n;
+        plane.normal[1] = -n;
+        plane.normal[2] = 0.0;
+        plane.offset = n;
+        memset(&ray, 0, sizeof ray);
+        ray.org[0] = 1e10;
+        ray.org[1] = 1e10 + 4.0;
+        ray.dir[0] = 1.0;
+        REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
+        CHECK_EQ_U64(tetcast_clip_spans(c, &ray, span, 2), 1);
+        CHECK_NEAR(span[0][0], 5.0, 1e-4);
+        CHECK(span[0][1] == 1e300);
+        tetcast_clip_destroy(c);
+    }
+}
+
 /* ---- grids with local refinement ---- */
 
 enum { AMR_PATCHES = 64 };
@@ -4546,6 +4750,9 @@ TEST(depth_ranges_and_memory) {
     for (i = 0; i < 4; i++) near_part[i] = far_part[i] = i < 3 ? FLT_MAX : 0.5f; /* nothing becomes infinite, or NaN after that */
     tetcast_over(near_part, far_part, 1);
     CHECK(near_part[0] == FLT_MAX && near_part[1] == FLT_MAX && near_part[2] == FLT_MAX && near_part[3] == 0.75f);
+    for (i = 0; i < 4; i++) near_part[i] = far_part[i] = i < 3 ? -FLT_MAX : 0.5f;
+    tetcast_over(near_part, far_part, 1);
+    CHECK(near_part[0] == -FLT_MAX && near_part[1] == -FLT_MAX && near_part[2] == -FLT_MAX && near_part[3] == 0.75f);
     tetcast_cut_destroy(c);
     test_alloc_init(&ta);
     for (fail = 1; fail < 200; fail++) {
@@ -4638,6 +4845,9 @@ int main(int argc, char **argv) {
     RUN(parameters);
     RUN(channels);
     RUN(shaded_tetrahedra);
+    RUN(shaded_without_hidden_cells);
+    RUN(shaded_surface_in_a_flat_cell);
+    RUN(clips_of_any_size);
     RUN(refined_grids);
     RUN(refinement_ratios);
     RUN(refined_grids_far_away);
