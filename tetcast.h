@@ -1895,9 +1895,10 @@ typedef struct tetcast_rbf_report {
    to 16 functions, fitted all at once, are enough: data that are such a sum come back. With `start` there are functions
    already: all are weighed anew first, what is not needed is dropped, and what is near errors of three times max_error
    still; the greedy steps add what is missing.
-   The same model for any number of threads and any isa. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
-   (max_functions is not enough), UNINIT_DESC, NO_MEMORY, CANCELLED. Cost: in proportion to the
-   points in the reach of each function, once and for each sweep again.
+   The same model for any number of threads and any isa. Values are kept as floats; by how much these differ from the
+   data (F64, 32-bit integers) is part of the errors. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
+   (max_functions is not enough, or max_error is less than floats keep), UNINIT_DESC, NO_MEMORY, CANCELLED. Cost: in
+   proportion to the points in the reach of each function, once and for each sweep again.
    Source: the thesis' loop of centres, widths, weights and error; the steps are ours. */
 TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
                                            tetcast_rbf_report *report, tetcast_rbf **out);
@@ -18774,7 +18775,6 @@ static int tetcasti_body_good(const tetcast_clip_body *b) {
     return 1;
 }
 
-TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out) {
 /* Halve the numbers of a plane together, exactly, until products with places do not overflow. */
 static void tetcasti_plane_scale(tetcast_clip_plane *p) {
     const double most = 18446744073709551616.0, by = 1.0 / 18446744073709551616.0;
@@ -18786,6 +18786,7 @@ static void tetcasti_plane_scale(tetcast_clip_plane *p) {
     }
 }
 
+TETCAST_DEF tetcast_result tetcast_clip_create(const tetcast_clip_desc *desc, tetcast_clip **out) {
     tetcast_clip_desc d;
     tetcasti_mem mem;
     tetcast_clip *c;
@@ -18818,8 +18819,8 @@ static void tetcasti_plane_scale(tetcast_clip_plane *p) {
     c->solid = (tetcasti_solid *)tetcasti_alloc_zero(&c->mem, d.body_count + 1, sizeof *c->solid);
     if (c->plane != NULL && d.plane_count != 0) memcpy(c->plane, d.planes, d.plane_count * sizeof *c->plane);
     c->plane_count = c->plane != NULL ? d.plane_count : 0;
-    for (i = 0; c->plane != NULL && c->solid != NULL && i < d.body_count; i++) {
     for (i = 0; i < c->plane_count; i++) tetcasti_plane_scale(&c->plane[i]);
+    for (i = 0; c->plane != NULL && c->solid != NULL && i < d.body_count; i++) {
         c->solid_count = i + 1;
         if (!tetcasti_solid_open(&c->mem, &d.bodies[i], &c->solid[i])) break;
     }
@@ -19171,14 +19172,14 @@ static void tetcasti_shade_gradient(const tetcast_mesh *mesh, uint32_t cell, flo
 
 typedef struct tetcasti_shade_cell { const tetcast_mesh *mesh; uint32_t cell; } tetcasti_shade_cell;
 
-static void tetcasti_shade_normal(void *user, float fraction, float normal[3]) {
 /* As tetcasti_normal: the direction only, so that flat cells have one. */
+static void tetcasti_shade_normal(void *user, float fraction, float normal[3]) {
     const tetcasti_shade_cell *x = (const tetcasti_shade_cell *)user;
-    (void)fraction;
     const tetcasti_vertex *vertex = x->mesh->vertex;
     const uint32_t *t = x->mesh->tet[x->cell];
     double g[3], big, volume;
     uint32_t a;
+    (void)fraction;
     tetcasti_cell_gradient(&vertex[t[0]], &vertex[t[1]], &vertex[t[2]], &vertex[t[3]], g, &volume);
     big = tetcasti_max(tetcasti_max(tetcasti_abs(g[0]), tetcasti_abs(g[1])), tetcasti_abs(g[2]));
     for (a = 0; a < 3; a++) normal[a] = big > 0.0 && tetcasti_finite(big) ? (float)(g[a] / big) : 0.0f;
@@ -19247,11 +19248,11 @@ static void tetcasti_shade_optics(tetcasti_shade_ray *r, uint32_t cell, float fr
 /* A tetrahedron: its parts in the spans. A flat one has no length, but a surface may be in it. */
 static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
     tetcasti_shade_ray *r = (tetcasti_shade_ray *)user;
-    const double way = x->t_back - x->t_front;
     const tetcast_optics *o = r->c->optics;
     const uint32_t *hidden = r->c->mesh->hidden;
-    uint32_t s;
+    const double way = x->t_back - x->t_front;
     const int surface = o != NULL && o->iso_count != 0 && (x->front < x->back || x->front > x->back);
+    uint32_t s;
     r->steps++;
     while (r->at < r->spans->count && r->spans->span[r->at][1] <= x->t_front) r->at++;
     if (r->at == r->spans->count) return 1;
@@ -21789,7 +21790,7 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
     *at = 184;
     if (m->ellipsoids > m->count) return TETCAST_ERR_FORMAT;
     *at = 48;
-    if (!(m->cut >= 1.0f && m->cut <= 8.0f) || !(m->epsilon >= 0.0f && m->epsilon < 1e30f)) return TETCAST_ERR_FORMAT;
+    if (!(m->cut >= 1.0f && m->cut <= 8.0f) || !(m->epsilon >= 0.0f && m->epsilon < 1e36f)) return TETCAST_ERR_FORMAT;
     for (a = 5; a < 9; a++) if (!tetcasti_finite_f(f[a])) return TETCAST_ERR_FORMAT;
     *at = 56;
     raw = b->position[0] == 0;
@@ -22549,9 +22550,9 @@ static double tetcasti_kernel_slope(const tetcast_rbf *m) {
 TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t component, const double box_min[3],
                                               const double box_max[3], float *lo, float *hi, float *gradient) {
     const tetcast_rbf *m = rbf;
-    double range[2], slope, rounding = 0.0, least_scale;
+    double range[2], slope, rounding = 0.0, sum, least_scale;
     float from[3], to[3];
-    uint32_t i, a;
+    uint32_t i, a, n = 0;
     if (m == NULL || component >= m->components || box_min == NULL || box_max == NULL) return TETCAST_ERR_INVALID_ARG;
     for (a = 0; a < 3; a++)
         if (!tetcasti_finite(box_min[a]) || !tetcasti_finite(box_max[a]) || box_min[a] > box_max[a])
@@ -22559,7 +22560,8 @@ TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t c
     tetcasti_rbf_local(m, box_min, from);
     tetcasti_rbf_local(m, box_max, to);
     tetcasti_rbf_base_bounds(m, component, from, to, range, &slope);
-    rounding = 1e-6 * tetcasti_max(tetcasti_abs(range[0]), tetcasti_abs(range[1]));
+    sum = tetcasti_max(tetcasti_abs(range[0]), tetcasti_abs(range[1]));
+    rounding = 1e-6 * sum;
     least_scale = tetcasti_min(tetcasti_min(m->scale[0], m->scale[1]), m->scale[2]);
     for (i = 0; i < m->count; i++) {
         const tetcasti_rbf_record *f = &m->record[i];
@@ -22580,9 +22582,12 @@ TETCAST_DEF tetcast_result tetcast_rbf_bounds(const tetcast_rbf *rbf, uint32_t c
         range[w > 0.0 ? 1 : 0] += w * (double)near_phi;
         range[w > 0.0 ? 0 : 1] += w * (double)far_phi;
         rounding += 2e-6 * tetcasti_abs(w);
+        sum += tetcasti_abs(w);
+        n++;
         slope += tetcasti_abs(w) * tetcasti_kernel_slope(m) / ((double)m->width[i] * least_scale) *
                  (f->k > 0.0f ? sqrt(1.0 + (double)f->k) : 1.0);
     }
+    rounding += (double)n * 6e-8 * sum; /* each function that is added to a float */
     if (lo != NULL) *lo = (float)(range[0] - rounding);
     if (hi != NULL) *hi = (float)(range[1] + rounding);
     if (gradient != NULL) *gradient = (float)(slope * 1.00001);
@@ -22714,6 +22719,7 @@ typedef struct tetcasti_fit {
     double spacing, closest;         /* local: mean; smallest distance of two points */
     double unit;                     /* values are in units of this, a power of two: squares of errors are floats */
     double range;                    /* in that unit, as tolerance, offset, nodes and weights */
+    double rounding;                 /* in that unit: how far the values are from the floats that they are kept as */
     float reach, e;                  /* radius / width; what the kernel is shifted by */
     float widest;
     float tolerance, threshold, heed_scale;
@@ -23487,13 +23493,20 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
     size_t bins = (size_t)t->bins[0] * t->bins[1] * t->bins[2], i, b;
     uint32_t *bin = (uint32_t *)tetcasti_alloc_array(t->mem, n, sizeof *bin);
     uint32_t *start = t->start, k = 0, a, c, out = 0;
+    double means = 0.0;
     uint8_t bytes[12];
     const int ok = key != NULL && p != NULL && v != NULL && bin != NULL;
     for (i = 0; ok && i < in->count + t->middles; i++) {
-        double w[3], value[4];
+        double w[3], value[4], away = 0.0;
         if (!tetcasti_fit_read(in, i, w, value)) continue;
         tetcasti_rbf_local(t->m, w, p[k]);
-        for (c = 0; c < t->n; c++) v[k][c] = (float)(value[c] / t->unit);
+        for (c = 0; c < t->n; c++) {
+            double e;
+            v[k][c] = (float)(value[c] / t->unit);
+            e = value[c] / t->unit - (double)v[k][c];
+            away += e * e;
+        }
+        t->rounding = tetcasti_max(t->rounding, sqrt(away));
         k++;
     }
     if (ok) {
@@ -23523,7 +23536,7 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
             tetcasti_rbf_sort(key + from, to - from);
             for (k = from; k < to;) {
                 const uint32_t first = key[k].i;
-                double sum[4] = {0.0, 0.0, 0.0, 0.0};
+                double sum[4] = {0.0, 0.0, 0.0, 0.0}, away = 0.0;
                 uint32_t same = 0;
                 for (; k < to && memcmp(p[key[k].i], p[first], sizeof p[0]) == 0; k++, same++)
                     for (c = 0; c < t->n; c++) sum[c] += (double)v[key[k].i][c];
@@ -23531,12 +23544,18 @@ static int tetcasti_fit_sort(tetcasti_fit *t, const tetcast_rbf_points *in) {
                 t->x[out] = p[first][0];
                 t->y[out] = p[first][1];
                 t->z[out] = p[first][2];
-                for (c = 0; c < t->n; c++) t->value[c][out] = (float)(sum[c] / (double)same);
+                for (c = 0; c < t->n; c++) {
+                    const double mean = sum[c] / (double)same;
+                    t->value[c][out] = (float)mean;
+                    away += (mean - (double)t->value[c][out]) * (mean - (double)t->value[c][out]);
+                }
+                means = tetcasti_max(means, sqrt(away));
                 out++;
             }
         }
         start[bins] = out;
         t->count = out;
+        t->rounding += means;
     }
     tetcasti_free(t->mem, key);
     tetcasti_free(t->mem, p);
@@ -23614,9 +23633,6 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
             t->widest = (float)tetcasti_min((double)t->widest, half / (double)t->reach);
         }
     }
-    m->bits.weight = m->bits.node = 24;
-    m->bits.weight_step = m->bits.node_step = (float)(t->range * (double)d->max_error / 8.0);
-    if (!(m->bits.weight_step > 1e-36f)) m->bits.weight_step = m->bits.node_step = 1e-36f;
     t->x = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
     t->y = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
     t->z = (float *)tetcasti_alloc_array(t->mem, t->count, sizeof(float));
@@ -23642,6 +23658,9 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
         }
     }
     if (!tetcasti_fit_sort(t, in)) return TETCAST_ERR_NO_MEMORY;
+    m->bits.weight = m->bits.node = 24;
+    m->bits.weight_step = m->bits.node_step = (float)((t->range * (double)d->max_error - t->rounding) / 8.0);
+    if (!(m->bits.weight_step > 1e-36f)) m->bits.weight_step = m->bits.node_step = 1e-36f;
     tetcasti_fit_precision(t, in->positions.data == NULL);
     /* data that cannot be met ends the loop */
     if (t->cap > 4 * (size_t)t->count + 64) t->cap = 4 * (size_t)t->count + 64;
@@ -24299,14 +24318,21 @@ static int tetcasti_fit_few(tetcasti_fit *t, double mean_error, tetcasti_few_mod
     return t->failed ? -1 : r;
 }
 
-/* Go on with these functions; they are in the blocks where their places are. 0: no memory. */
+/* Go on with these functions, in one block: widths are those of their ladder now, whose smallest may be more than
+   blocks of one colour have between them. 0: no memory. */
 static int tetcasti_few_take(tetcasti_fit *t, const tetcasti_few_model *few) {
+    const size_t blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+    tetcasti_fit_block *b = t->block;
     uint32_t i, a;
+    size_t k;
+    for (k = 1; k < blocks; k++) tetcasti_free(t->mem, t->block[k].f);
+    for (a = 0; a < 3; a++) {
+        t->blocks[a] = 1;
+        b->lo[a] = 0;
+        b->hi[a] = t->bins[a];
+    }
+    b->count = 0;
     for (i = 0; i < few->count; i++) {
-        tetcasti_fit_block *b;
-        double c[3];
-        for (a = 0; a < 3; a++) c[a] = (double)few->f[i].c[a];
-        b = tetcasti_fit_place_block(t, c);
         if (!tetcasti_grow(t->mem, (void **)&b->f, &b->room, b->count, b->count + 1, sizeof *b->f)) return 0;
         b->f[b->count++] = few->f[i];
         b->inserted++;
@@ -24525,10 +24551,11 @@ static void tetcasti_fit_measure(tetcasti_fit *t, tetcast_rbf_report *report) {
     for (i = 0; i < t->count; i++)
         histogram[most > 0.0 ? (uint32_t)((double)t->heed[i] / most * (BINS - 1)) : 0]++;
     for (c = BINS; c-- > 0 && (uint64_t)(seen + histogram[c]) * 1000u <= t->count;) seen += histogram[c];
-    report->max_error = most / t->range;
-    report->mean_error = sum / (double)t->count / t->range;
-    report->rms_error = sqrt(squares / (double)t->count) / t->range;
-    report->p999_error = tetcasti_min((double)(c < BINS ? c + 1 : 1) / (BINS - 1) * most, most) / t->range;
+    report->max_error = (most + t->rounding) / t->range;
+    report->mean_error = (sum / (double)t->count + t->rounding) / t->range;
+    report->rms_error = (sqrt(squares / (double)t->count) + t->rounding) / t->range;
+    report->p999_error = (tetcasti_min((double)(c < BINS ? c + 1 : 1) / (BINS - 1) * most, most) + t->rounding) /
+                         t->range;
     report->direction_mean = weights > 0.0 ? angles / weights : 0.0;
     report->overshoot /= t->range;
 }
@@ -24620,7 +24647,7 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
         nodes = (double)dims[0] * (double)dims[1] * (double)dims[2] * (double)t->n;
         if (nodes * 4.0 / 8.0 > (double)report->grid_bytes || nodes > 4e6) break;
         if (!tetcasti_fit_base(t, dims)) return 0;
-        most = tetcasti_fit_peak(t) / t->range;
+        most = (tetcasti_fit_peak(t) + t->rounding) / t->range;
         if (most > tolerance) continue;
         for (i = 0; i < t->count; i++) {
             double e = 0.0;
@@ -24637,7 +24664,7 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
             memcpy(report->grid_dims, dims, sizeof dims);
             report->grid_bits = need;
             report->grid_max_error = most;
-            report->grid_mean_error = sum / (double)t->count / t->range;
+            report->grid_mean_error = (sum / (double)t->count + t->rounding) / t->range;
         }
         break;
     }
@@ -24647,8 +24674,7 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
 /* Greedy and sweeps until every error is in the tolerance; then the model, measured. */
 static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, tetcast_rbf_report *report) {
     const uint32_t sweeps = t->few || d->sweeps == 0xffffffffu ? 0 : d->sweeps != 0 ? d->sweeps : 3;
-    const double asked = (double)d->max_error * t->range;
-    double tolerance = asked * (1.0 - 1e-4);
+    double tolerance = (double)d->max_error * t->range * (1.0 - 1e-4) - t->rounding;
     tetcast_result r;
     uint32_t s, k, round;
     t->tolerance = (float)tolerance;
@@ -24711,9 +24737,10 @@ static int tetcasti_fit_begin(tetcasti_fit *t, const tetcast_rbf_fit_desc *d) {
     const uint32_t none[3] = {0, 0, 0};
     const tetcasti_rbf_bits *b;
     tetcasti_few_model few;
-    const double mean = d->mean_error != 0.0f ? (double)d->mean_error * t->range * (1.0 - 1e-4) : 1e100;
-    const int found = d->start == NULL && d->sweeps != 0xffffffffu ? tetcasti_fit_few(t, mean, &few) : 0;
+    const double mean = d->mean_error != 0.0f ? (double)d->mean_error * t->range * (1.0 - 1e-4) - t->rounding : 1e100;
+    int found = d->start == NULL && d->sweeps != 0xffffffffu ? tetcasti_fit_few(t, mean, &few) : 0;
     if (found < 0) return 0;
+    if (found && few.count > t->cap) found = 0;
     if (t->full) return 1; /* cancelled */
     if (d->method == TETCAST_RBF_METHOD_HYBRID) {
         double bytes = 1e300;
@@ -24761,9 +24788,9 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     t->middles = d->between != 0 ? tetcasti_fit_middles(in) : 0;
     r = tetcasti_fit_survey(t, d, in);
     if (r != TETCAST_OK) return r;
-    t->tolerance = (float)((double)d->max_error * t->range * (1.0 - 1e-4));
     if (!(t->range > TETCASTI_FIT_CONSTANT)) t->range = 0.0;
     r = tetcasti_fit_open(t, d, in);
+    t->tolerance = (float)((double)d->max_error * t->range * (1.0 - 1e-4) - t->rounding);
     report->points = t->count;
     report->rejected = t->rejected;
     report->duplicates = t->duplicates;
@@ -24776,6 +24803,8 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
         t->range = 1.0;
         r = tetcasti_fit_model(t);
         if (r == TETCAST_OK) tetcasti_fit_measure(t, report);
+    } else if (!((double)t->tolerance > 1e-7 * t->range)) {
+        return TETCAST_ERR_RANGE;
     } else {
         if (d->compare) ok = tetcasti_fit_compare(t, in, (double)d->max_error, report);
         if (!ok) return TETCAST_ERR_NO_MEMORY;

@@ -401,6 +401,35 @@ TEST(bounds_hold) {
     }
 }
 
+/* Each function is rounded when it is added; here, half a unit is lost 10000 times. */
+TEST(bounds_of_many) {
+    enum { K = 10000 };
+    tetcast_rbf_function *f = (tetcast_rbf_function *)calloc(K, sizeof *f);
+    const double at[3] = {0.5, 0.5, 0.5};
+    float least = 0.0f, most = 0.0f, v = 0.0f;
+    tetcast_rbf_desc d;
+    tetcast_rbf *m;
+    uint32_t i, a;
+    REQUIRE(f != NULL);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < K; i++) {
+        for (a = 0; a < 3; a++) f[i].centre[a] = 0.5;
+        f[i].width = 0.1;
+        f[i].weight[0] = 1.0f;
+    }
+    for (a = 0; a < 3; a++) d.box_max[a] = 1.0;
+    d.functions = f;
+    d.function_count = K;
+    d.offset[0] = 16777216.0f;
+    m = make(&d);
+    REQUIRE(m != NULL);
+    CHECK(tetcast_rbf_bounds(m, 0, at, at, &least, &most, NULL) == TETCAST_OK);
+    CHECK(tetcast_rbf_eval(NULL, m, at, 1, &v, NULL) == TETCAST_OK);
+    CHECK_MSG(v >= least && v <= most, "%.9g in %.9g .. %.9g", (double)v, (double)least, (double)most);
+    tetcast_rbf_destroy(m);
+    free(f);
+}
+
 /* Functions that are cut off high end in a jump: bounds on both sides of it, as near as doubles go. */
 TEST(bounds_at_jumps) {
     int k;
@@ -703,6 +732,38 @@ TEST(files) {
 /* ---- the encoder ---- */
 
 /* Largest and mean error at the points, from values asked for one by one. */
+/* The largest weights that are allowed; epsilon is 1e-3 of them. */
+TEST(files_of_large_weights) {
+    static const float weight[] = {1e29f, 2e33f, 9e37f};
+    uint32_t k, a;
+    for (k = 0; k < 6; k++) {
+        tetcast_rbf_function f;
+        tetcast_rbf_desc d;
+        tetcast_rbf *m, *again = NULL;
+        unsigned char *p;
+        size_t size;
+        memset(&f, 0, sizeof f);
+        memset(&d, 0, sizeof d);
+        for (a = 0; a < 3; a++) {
+            f.centre[a] = 0.5;
+            d.box_max[a] = 1.0;
+        }
+        f.width = 0.1;
+        f.weight[0] = weight[k % 3];
+        d.functions = &f;
+        d.function_count = 1;
+        d.kernel = k < 3 ? TETCAST_KERNEL_GAUSS : TETCAST_KERNEL_GAUSS_CUT;
+        m = make(&d);
+        REQUIRE(m != NULL);
+        p = save(m, &size);
+        CHECK(tetcast_rbf_load_memory(NULL, p, size, &again) == TETCAST_OK);
+        CHECK(again != NULL && again->count == 1 && again->weight[0] == weight[k % 3]);
+        free(p);
+        tetcast_rbf_destroy(again);
+        tetcast_rbf_destroy(m);
+    }
+}
+
 static void errors(const tetcast_rbf *m, const tetcast_rbf_points *p, const double *at, const float *values, double range, double out[2]) {
     size_t i;
     uint32_t c;
@@ -1144,6 +1205,120 @@ TEST(few_come_back) {
         tetcast_rbf_destroy(same);
         tetcast_rbf_destroy(m);
     }
+}
+
+/* Tasks of blocks of one colour that run at once: between the blocks is room for the widest function, no more. */
+static void tasks_looked_at(tetcast_task_fn *task, void *ctx, uint32_t count, void *user) {
+    uint32_t *wide = (uint32_t *)user, i;
+    for (i = 0; i < count; i++) task(ctx, i);
+    if (task == tetcasti_task_fit_greedy && count > 1) {
+        const tetcasti_fit *t = (const tetcasti_fit *)ctx;
+        const size_t blocks = (size_t)t->blocks[0] * t->blocks[1] * t->blocks[2];
+        size_t k, j;
+        for (k = 0; k < blocks; k++)
+            for (j = 0; j < t->block[k].count; j++) wide[1] += t->block[k].f[j].width > t->widest;
+    }
+    wide[0] += task == tetcasti_task_fit_greedy;
+}
+
+/* A broad function upon rounding that none keeps: what is added to the few that are fitted at once is as broad. */
+TEST(few_and_more) {
+    enum { N = 180 };
+    static float value[N * N];
+    const double w = 0.12 * N, e = exp(-0.5 * 3.5 * 3.5);
+    tetcast_rbf_points p = grid_points(value, N, N, 1, 1);
+    tetcast_rbf_fit_desc q;
+    tetcast_rbf *m = NULL;
+    uint32_t i, wide[2] = {0, 0};
+    for (i = 0; i < N * N; i++) {
+        const double x = i % N - 0.43 * N, y = i / N - 0.52 * N, g = exp(-(x * x + y * y) / (2.0 * w * w));
+        value[i] = (float)(1000.0 + (g > e ? (g - e) / (1.0 - e) : 0.0));
+    }
+    memset(&q, 0, sizeof q);
+    q.max_error = 5.2e-5f;
+    q.method = TETCAST_RBF_METHOD_PURE;
+    q.max_functions = 200;
+    q.env.parallel.for_fn = tasks_looked_at;
+    q.env.parallel.user = wide;
+    CHECK(tetcast_rbf_fit(&q, &p, NULL, &m) == TETCAST_ERR_RANGE && m == NULL);
+    CHECK_MSG(wide[0] != 0 && wide[1] == 0, "%u passes, %u functions too wide", wide[0], wide[1]);
+    q.env.parallel.for_fn = NULL; /* by threads, for sanitizers */
+    q.env.thread_count = 4;
+    CHECK(tetcast_rbf_fit(&q, &p, NULL, &m) == TETCAST_ERR_RANGE && m == NULL);
+}
+
+/* A limit of the number counts for the few that are fitted at once, too. */
+TEST(few_are_too_many) {
+    enum { N = 20 };
+    static float value[N * N * N];
+    static const double c[3][4] = {{12.507, 7.106, 10.013, 1.823}, {9.659, 10.824, 12.401, 1.973}, {14.276, 5.395, 10.735, 3.031}};
+    tetcast_rbf_points p = grid_points(value, N, N, N, 1);
+    uint32_t i, k, most;
+    for (i = 0; i < N * N * N; i++) {
+        double s = 0.0;
+        for (k = 0; k < 3; k++) {
+            const double x = i % N - c[k][0], y = i / N % N - c[k][1], z = i / N / N - c[k][2];
+            const double g = exp(-(x * x + y * y + z * z) / (2.0 * c[k][3] * c[k][3])), e = exp(-0.5 * 3.5 * 3.5);
+            s += (k == 1 ? 1.0 : 1.5) * (g > e ? (g - e) / (1.0 - e) : 0.0);
+        }
+        value[i] = (float)s;
+    }
+    for (most = 0; most < 4; most++) {
+        tetcast_rbf_fit_desc q;
+        tetcast_rbf_report report;
+        tetcast_rbf *m = NULL;
+        tetcast_result got;
+        memset(&q, 0, sizeof q);
+        q.max_error = 0.01f;
+        q.max_functions = most;
+        got = tetcast_rbf_fit(&q, &p, &report, &m);
+        CHECK_MSG(got == TETCAST_OK ? most == 0 || report.functions <= most : got == TETCAST_ERR_RANGE,
+                  "%u allowed: %s, %u functions", most, tetcast_result_string(got), report.functions);
+        CHECK(most != 0 || got == TETCAST_OK);
+        tetcast_rbf_destroy(m);
+    }
+}
+
+/* Doubles and integers that floats do not have: errors are against the data. */
+TEST(values_that_are_no_floats) {
+    enum { N = 12 };
+    static double value[N * N * N];
+    static int32_t integer[N * N * N];
+    static const double offset[] = {0.0, 1e3, 1e5, 1e6, 1e8};
+    uint32_t k, i, kind, good = 0;
+    for (kind = 0; kind < 2; kind++)
+        for (k = 0; k < 5; k++) {
+            const double step = kind == 0 ? 1.0 : 1000.0; /* the largest integers: 1e9 and their bits */
+            tetcast_rbf_points p = grid_points(NULL, N, N, N, 1);
+            tetcast_rbf_fit_desc q;
+            tetcast_rbf_report report;
+            tetcast_rbf *m = NULL;
+            tetcast_result got;
+            double worst = 0.0;
+            for (i = 0; i < N * N * N; i++) {
+                value[i] = offset[k] + step * (sin(i % N * 0.5) * cos(i / N % N * 0.4) + 0.3 * sin(i / N / N * 0.6));
+                integer[i] = (int32_t)(10.0 * value[i]);
+                if (kind == 1) value[i] = (double)integer[i];
+            }
+            if (kind == 0) p.values.data = value;
+            else p.values.data = integer;
+            p.values.type = kind == 0 ? TETCAST_TYPE_F64 : TETCAST_TYPE_I32;
+            memset(&q, 0, sizeof q);
+            q.max_error = 0.01f;
+            got = tetcast_rbf_fit(&q, &p, &report, &m);
+            CHECK(got == TETCAST_OK || (got == TETCAST_ERR_RANGE && offset[k] >= 1e6));
+            if (m == NULL) continue;
+            good++;
+            for (i = 0; i < N * N * N; i++) {
+                const double at[3] = {i % N, i / N % N, i / N / N};
+                float v;
+                CHECK(tetcast_rbf_eval(NULL, m, at, 1, &v, NULL) == TETCAST_OK);
+                worst = fmax(worst, fabs((double)v - value[i]) / report.range);
+            }
+            CHECK_MSG(worst <= 0.01 && worst <= report.max_error + 1e-9, "offset %g: %g, told %g", offset[k], worst, report.max_error);
+            tetcast_rbf_destroy(m);
+        }
+    CHECK(good >= 7);
 }
 
 /* ---- steps of a series ---- */
@@ -2308,6 +2483,48 @@ TEST(left_out) {
     tetcast_optics_destroy(o);
 }
 
+/* Functions that are narrow or flat, so that samples are far into their tails, against samples one by one. */
+TEST(narrow_functions) {
+    enum { W = 32 };
+    static float rgba[3][W * W * 4];
+    tetcast_optics *o = make_optics(TETCAST_MODEL_VOLUME, 0.5f);
+    test_rng r = test_rng_make(57);
+    const uint32_t rounds = test_quick() ? 60 : 400;
+    uint32_t round, i, k, a;
+    REQUIRE(o != NULL);
+    for (round = 0; round < rounds; round++) {
+        tetcast_rbf_desc d = random_desc(round, 1, 1, 0.002, 0.06, 0.0);
+        tetcast_rbf_render_desc q;
+        tetcast_rbf *m;
+        uint32_t bad = 0;
+        d.kernel = round % 5 == 4 ? TETCAST_KERNEL_GAUSS_CUT : TETCAST_KERNEL_GAUSS;
+        g_f[0].weight[0] = 1.0f;
+        g_f[0].stretch = round % 2 ? 0.1 : pow(2.0, -6.0 * test_rng_double(&r));
+        memset(&q, 0, sizeof q);
+        for (a = 0; a < 3; a++) {
+            g_f[0].axis[a] = test_rng_double(&r) - 0.5;
+            q.camera.at[a] = g_f[0].centre[a];
+            q.camera.eye[a] = g_f[0].centre[a] + 4.0 * (test_rng_double(&r) - 0.5);
+        }
+        m = make(&d);
+        REQUIRE(m != NULL);
+        for (k = 0; k < 3; k++) {
+            tetcast_image image;
+            memset(&image, 0, sizeof image);
+            image.width = image.height = W;
+            image.rgba = rgba[k];
+            q.gather = k == 2;
+            q.isa = k == 0 ? TETCAST_ISA_SCALAR : TETCAST_ISA_AUTO;
+            CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
+        }
+        for (i = 0; i < W * W * 4; i++) bad += !(fabsf(rgba[0][i] - rgba[2][i]) <= 1e-4f);
+        CHECK_MSG(bad == 0, "function %u: %u numbers", round, bad);
+        CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
+        tetcast_rbf_destroy(m);
+    }
+    tetcast_optics_destroy(o);
+}
+
 /* The recurrence along rays against the formula: steps from far smaller to far larger than the width, starts in tails. */
 TEST(recurrence) {
     test_rng r = test_rng_make(31);
@@ -2450,11 +2667,13 @@ int main(int argc, char **argv) {
     RUN(no_function_missed);
     RUN(bases);
     RUN(bounds_hold);
+    RUN(bounds_of_many);
     RUN(bounds_at_jumps);
     RUN(thinnest_functions);
     RUN(no_seams);
     RUN(extremes);
     RUN(files);
+    RUN(files_of_large_weights);
     RUN(promise);
     RUN(between_the_points);
     RUN(directions);
@@ -2463,6 +2682,9 @@ int main(int argc, char **argv) {
     RUN(decoded);
     RUN(same_model);
     RUN(few_come_back);
+    RUN(few_and_more);
+    RUN(few_are_too_many);
+    RUN(values_that_are_no_floats);
     RUN(series);
     RUN(starts);
     RUN(odd_data);
@@ -2477,6 +2699,7 @@ int main(int argc, char **argv) {
     RUN(shaded_functions);
     RUN(channels_of_flows);
     RUN(left_out);
+    RUN(narrow_functions);
     RUN(recurrence);
     RUN(out_of_memory);
     return test_end();
