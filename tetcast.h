@@ -238,8 +238,10 @@
                 tetcast_bricks_report says how many places are above it. Integers are off by half a step.
    Functions    tetcast_rbf_fit keeps max_error at every point, as the file has them; between the points the error is
                 measured (tetcast_rbf_report.between_max), and kept only with `between`.
-   Foams        Sites are kept to 6e-8 of the box; faces smaller than some 1e-12 of it may be missing. Colours are
-                within 2e-5 of those of a march through all sites in doubles.
+   Foams        Sites are kept to 6e-8 of the box; faces smaller than some 1e-12 of it may be missing. Rays pass from
+                cell to cell within 2e-7 of the box over the sine of their angle with the face. Colours are within 2e-5
+                of those of a march through all sites in doubles where that times the extinction is less: rays that
+                graze faces of dense cells, by a degree and less, may be farther off.
 
    REFERENCES
    M. Weiler: Hardware-beschleunigte Volumenvisualisierung auf adaptiven Datenstrukturen. Diss., Univ. Stuttgart, 2005
@@ -2101,9 +2103,9 @@ TETCAST_DEF tetcast_result tetcast_foam_paint(tetcast_foam *foam, const tetcast_
 TETCAST_DEF uint32_t tetcast_foam_cell(const tetcast_foam *foam, uint32_t cell, uint32_t *site, uint32_t *neighbours,
                                        uint32_t room);
 
-/* The cell that has a place in it: that of the nearest site, up to rounding; of a place outside of the box that of the
-   nearest place in it. start: a cell to begin with, such as that of a place nearby; any number. TETCAST_NONE for a
-   position that is no number, or beyond 1e100. O(cells on the way). */
+/* The cell that has a place in it: that of the nearest site, up to 1e-6 of its distance; of a place outside of the box
+   that of the nearest place in it. start: a cell to begin with, such as that of a place nearby; any number.
+   TETCAST_NONE for a position that is no number, or beyond 1e100. O(cells on the way). */
 TETCAST_DEF uint32_t tetcast_foam_find(const tetcast_foam *foam, const double position[3], uint32_t start);
 
 /* Draw. desc: as for tetcast_render; method, smooth_normals, traverse_only and no_leaping do not count, and the camera
@@ -27494,7 +27496,7 @@ TETCASTI_INLINE int tetcasti_foam_closer(const tetcast_foam *f, uint32_t a, uint
 TETCASTI_INLINE uint32_t tetcasti_foam_toward(const tetcast_foam *f, uint32_t cell, const float p[3]) {
     const tetcasti_foam_cell *c = &f->cell[cell];
     const float x = p[0] - c->place[0], y = p[1] - c->place[1], z = p[2] - c->place[2];
-    float best = 1.00001f;
+    float best = 1.000001f; /* what floats tell; whether it is nearer is asked in doubles */
     uint32_t next = cell, lane, b;
     for (b = c[0].first; b < c[1].first; b++)
         for (lane = 0; lane < 8; lane++) {

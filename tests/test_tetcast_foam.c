@@ -223,6 +223,60 @@ TEST(rays_are_those_of_brute_force) {
     CHECK(hits > scenes * RAYS / 3);
 }
 
+/* Rays that graze the face of two cells: they pass it as near as the contract tells. */
+TEST(rays_that_graze_a_face) {
+    enum { RAYS = 400 };
+    double worst = 0;
+    uint32_t k, seen = 0;
+    for (k = 0; k < 24; k++) {
+        const double dz = 0.27 * pow(10.0, -(double)(k / 6)), sine = pow(10.0, -1.0 - (double)(k % 6));
+        const double extinction = 3.0;
+        static tetcast_ray ray[RAYS];
+        static tetcast_ray_result got[RAYS];
+        tetcast_site s[2];
+        tetcast_foam_desc d;
+        tetcast_foam *f = NULL;
+        double place[2][3], w[3], mid[3], t;
+        uint32_t i, a;
+        memset(s, 0, sizeof s);
+        memset(&d, 0, sizeof d);
+        memset(ray, 0, sizeof ray);
+        for (i = 0; i < 2; i++) {
+            s[i].position[0] = 0.31;
+            s[i].position[1] = 0.1717 + (i ? dz * sine : 0.0);
+            s[i].position[2] = 0.12345 + (i ? dz : 0.0);
+            s[i].rgb[2 * i] = 1.0f;
+            s[i].extinction = (float)extinction;
+        }
+        for (a = 0; a < 3; a++) d.box_max[a] = 1.0;
+        REQUIRE(tetcast_foam_create(&d, s, 2, &f) == TETCAST_OK);
+        for (i = 0; i < f->count && f->count == 2; i++) /* as they are kept */
+            for (a = 0; a < 3; a++) place[f->source[i]][a] = f->origin[a] + (double)f->cell[i].place[a] * f->unit;
+        for (a = 0; a < 3 && f->count == 2; a++) {
+            w[a] = place[1][a] - place[0][a];
+            mid[a] = 0.5 * (place[0][a] + place[1][a]);
+        }
+        if (f->count == 2 && w[1] > 0.0) {
+            const double angle = w[1] / sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+            for (i = 0; i < RAYS; i++) {
+                ray[i].org[0] = 0.9;
+                ray[i].org[1] = -0.5;
+                ray[i].org[2] = mid[2] - ((i + 0.5) / RAYS - mid[1]) * w[1] / w[2] - (0.9 - mid[0]) * w[0] / w[2];
+                ray[i].dir[1] = 1.0;
+            }
+            CHECK_EQ_U64(tetcast_foam_cast(NULL, f, ray, RAYS, got, NULL), TETCAST_OK);
+            for (i = 0; i < RAYS; i++) {
+                if (!(ray[i].org[2] > 0.0 && ray[i].org[2] < 1.0)) continue;
+                t = (i + 0.5) / RAYS;
+                worst = fmax(worst, fabs(1.0 - exp(-extinction * t) - (double)got[i].rgba[0]) / (extinction * 2e-7 / angle + 1e-6));
+                seen++;
+            }
+        }
+        tetcast_foam_destroy(f);
+    }
+    CHECK_MSG(worst <= 1.0 && seen > 12 * RAYS, "%g of what is allowed, %u rays", worst, seen);
+}
+
 /* Rays along the axes of a lattice, through faces, edges and corners of its cells and along them: all of the way counts. */
 TEST(rays_in_faces_of_a_lattice) {
     enum { SIDE = 8, N = SIDE * SIDE * SIDE };
@@ -439,6 +493,29 @@ TEST(places_far_from_close_sites) {
             }
             CHECK_MSG(sqrt(mine) <= sqrt(best) + 1e-5, "from %u: a site at %g, the nearest at %g", (unsigned)start, sqrt(mine), sqrt(best));
         }
+    tetcast_foam_destroy(f);
+}
+
+/* Places that are hardly beyond a face are found beyond it. */
+TEST(places_beside_a_face) {
+    tetcast_site s[2];
+    tetcast_foam_desc d;
+    tetcast_foam *f = NULL;
+    uint32_t i, k, a;
+    memset(s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    for (i = 0; i < 2; i++) {
+        s[i].position[0] = i ? 0.75 : 0.25;
+        s[i].position[1] = s[i].position[2] = 0.5;
+    }
+    for (a = 0; a < 3; a++) d.box_max[a] = 1.0;
+    REQUIRE(tetcast_foam_create(&d, s, 2, &f) == TETCAST_OK);
+    for (k = 0; k < 8; k++) {
+        const double p[3] = {0.5 + (k / 4 ? 1e-6 : -1e-6) * (k % 2 ? 1 : 2), 0.4, 0.6};
+        uint32_t site = 2;
+        (void)tetcast_foam_cell(f, tetcast_foam_find(f, p, k % 4 / 2), &site, NULL, 0);
+        CHECK_EQ_U64(site, k / 4);
+    }
     tetcast_foam_destroy(f);
 }
 
@@ -668,11 +745,13 @@ int main(int argc, char **argv) {
     test_begin(argc, argv);
     RUN(neighbours_are_those_of_brute_force);
     RUN(rays_are_those_of_brute_force);
+    RUN(rays_that_graze_a_face);
     RUN(rays_in_faces_of_a_lattice);
     RUN(rays_in_edges_of_rings);
     RUN(ends_of_ranges);
     RUN(places_are_in_the_nearest_cell);
     RUN(places_far_from_close_sites);
+    RUN(places_beside_a_face);
     RUN(pictures_are_rays);
     RUN(paint);
     RUN(what_is_none);
