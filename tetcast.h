@@ -25044,8 +25044,8 @@ TETCASTI_INLINE int tetcasti_rbf_chain(const tetcasti_rbf_group *g, const tetcas
     uint32_t l;
     int good = 1;
     for (l = 0; l < 8; l++) {
-        const float u = first - r->tc[l], v = last - r->tc[l], u2 = u * u, v2 = v * v, far = u2 > v2 ? u2 : v2;
-        const float d = f->a * r->d2[l], w = (f->a * far) * (f->k != 0.0f ? r->grow[l] : 1.0f);
+        const float u = first - r->tc[l], v = last - r->tc[l], u2 = u * u, v2 = v * v, most = u2 > v2 ? u2 : v2;
+        const float d = f->a * r->d2[l], w = (f->a * most) * (f->k != 0.0f ? r->grow[l] : 1.0f);
         good &= (d > TETCASTI_RBF_LEAST ? d + w : w) > TETCASTI_RBF_LEAST;
     }
     return good;
