@@ -143,7 +143,7 @@
    VOXRT_NO_STDIO            no functions with file names, no <stdio.h>               off           yes
    VOXRT_NO_THREADS          never start a thread; env.parallel still works           off, wasm: on code only
    VOXRT_NO_SIMD             scalar code only                                         off           code only
-   VOXRT_NO_AVX2             no AVX2, no AVX-512                                          off           code only
+   VOXRT_NO_AVX2             no AVX2, no AVX-512                                      off           code only
    VOXRT_NO_GI               no bit columns and no global illumination                off           yes
    VOXRT_ALLOW_FAST_MATH     accept -ffast-math; nothing is promised then             #error        code only
    No macro changes a struct. The instruction set is chosen when the program runs; desc.isa can lower it.
