@@ -639,13 +639,15 @@ typedef enum zbufrand_fill { /* what the pixels between samples show */
    tolerance            cells and squares keep only the nearest. t: also samples up to (1 + t) times as deep
    tolerance_projected  the same on f z / (f + z), f = focal, as in the thesis: up to this value deeper
    focal                1, for tolerance_projected
-   tolerance_slope      the same by the sample's slope: up to this times |grad z| d deeper; what any of the three
-                        tolerates is kept. 1.5 if none of them is given, or of a surface that is seen at an angle only
-                        one edge of each cell or square would be left; below 0: none, as the thesis has it
+   tolerance_slope      the same by slopes: up to this times |grad z| d deeper and half a percent, grad z that of the
+                        sample or of the nearest, whichever is less, if their mean leads from one to the other: if both
+                        seem to be of one surface; and a cell of which squares leave nothing keeps its nearest. What
+                        any of the three tolerates is kept. 1.5 if none of them is given, or of a surface that is seen
+                        at an angle only one edge of each cell, and nothing of squares, would be left; below 0: none,
+                        as the thesis has it
    tolerance_color      none. t: also samples, however deep, whose linear red, green and blue differ by at most t from
                         those of the nearest in their cell or square: they may be wrong, but one does not see it. Of
-                        scenes colours are those of the library's lights, without shade_fn. Up to (2 d)^2 pixels are
-                        looked at for each sample that would be dropped
+                        scenes colours are those of the library's lights, without shade_fn
    drop_back            1: samples that are seen from behind do not take part in the fill, though they still hide others
                         (closed surfaces: what a tolerance lets through at silhouettes)
    plane_depth          1: the depth of a pixel is that of the sample's surface at the centre of the pixel, along its
@@ -1102,15 +1104,16 @@ typedef struct zbufrand_costs {
 /* field           zero means
    camera          (eye equals at) one that frames the scene; a cube of edge 2 around the origin without a scene
    tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
-                   or more than 1 % deeper than all that is visible in it and in the pixels around it (in blocks of
-                   d x d: up to 3 d / 2 pixels away; 5 d / 2 where regions grow over cells or squares), where these are
-                   covered as a whole. Where a fill mixes samples of cells or squares, a pixel that keeps none of its
-                   own is as deep as the nearest of them. Gaps between cells or squares that nothing fills do not count
-                   (`reach` or a Gaussian that reaches less than a block); with fill none nothing is promised of these,
-                   and with tolerance_slope, which is on in them, nothing of hidden surfaces that are steep. Covered: by
-                   d pixels beyond the borders of the picture, too. Holds for what is sampled; what is rastered misses
-                   nothing. With `noise` and without a tolerance frames have half as many samples, and
-                   what is reported is about all of them: that somewhere none is right
+                   or all that is visible in it and in the pixels around it is nearer than 0.99 of its depth (in blocks
+                   of d x d: up to 3 d / 2 pixels away; 5 d / 2 where regions grow over cells or squares), where these
+                   are covered as a whole, d pixels beyond the borders of the picture, too. Where a Gaussian mixes
+                   samples of cells or squares, a pixel counts as deep as the nearest of them, whatever its depth in
+                   the picture is; so with pull-push where it keeps none of its own. Gaps between cells or squares that
+                   nothing fills do not count (fill none, `reach` or a Gaussian that reaches less than a block); nor
+                   do, with tolerance_slope, hidden surfaces where a steep visible one would go on if it did. Holds
+                   for what is sampled; what is rastered misses nothing; a ray that meets the seam of two instances
+                   exactly may pass between them. With `noise` and without a tolerance frames have half as many
+                   samples, and what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
@@ -1126,7 +1129,7 @@ typedef struct zbufrand_costs {
                    part; what else is counted in pixels (stats, density, reconstruct, surface.pixel) is about the
                    larger picture. 24 bytes more for each part. Only for zbufrand_render
    reconstruct     one pixel per sample; no fill; see there. Its `repair` is screen-space mending; for rays see
-                   no_repair
+                   no_repair. Cells and squares without a fill get no rays, and so need more samples
    hybrid          by cost
    hybrid_radius   HYBRID_CUBE: only what touches the eye; not below 0
    costs           the defaults
@@ -11176,96 +11179,110 @@ static void zbufrandi_planes_task(void *ctx, uint32_t task) {
 /* ---- samples that are seen, as points: cells and squares ---- */
 
 typedef struct zbufrandi_seen {
-    const uint64_t *keys, *nearest; /* nearest: minima around; cells find their own */
+    const uint64_t *keys, *nearest; /* nearest: depth << 32 | place of the nearest one around; cells find their own */
     uint64_t *out;
     const float *slope_x, *slope_y, *tint;
     const uint8_t *back;
     const zbufrand_reconstruct *o;
-    uint32_t width, height, offset;  /* of the canvas; cells begin at `offset`, the guard */
-    size_t piece;                    /* pixels of a task for squares */
+    uint32_t width, height, offset; /* of the canvas; cells begin at `offset`, the guard */
+    int squares;                    /* they are done: the tasks are for cells that have nothing left */
 } zbufrandi_seen;
 
-#define ZBUFRANDI_SOMEWHERE (~(size_t)0)
+enum { ZBUFRANDI_SEEN_PIECE = 4096 }; /* pixels of a task */
 
-/* Where the nearest sample is that hides this one; ZBUFRANDI_SOMEWHERE if it is not found. */
-static size_t zbufrandi_seen_find(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
-    const uint32_t d = c->o->block, x = (uint32_t)(q % c->width), y = (uint32_t)(q / c->width);
-    const uint32_t r = 2 * (d / 2);
-    const uint32_t x1 = c->width - x > r ? x + r : c->width - 1, y1 = c->height - y > r ? y + r : c->height - 1;
-    uint32_t i, j;
-    for (j = y > r ? y - r : 0; j <= y1; j++) {
-        const size_t row = (size_t)j * c->width;
-        for (i = x > r ? x - r : 0; i <= x1; i++) if (c->keys[row + i] == nearest) return row + i;
+/* Pixels q..stop-1 with their places instead of the hashes of their samples: the least of them tells where it is. */
+static void zbufrandi_places_task(void *ctx, uint32_t task) {
+    const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
+    const size_t pixels = (size_t)c->width * c->height;
+    size_t q = (size_t)task * ZBUFRANDI_SEEN_PIECE;
+    const size_t stop = pixels - q < ZBUFRANDI_SEEN_PIECE ? pixels : q + ZBUFRANDI_SEEN_PIECE;
+    for (; q < stop; q++) {
+        const uint64_t key = c->keys[q];
+        c->out[q] = key == ZBUFRANDI_EMPTY ? key : (key & 0xffffffff00000000u) | q;
     }
-    return ZBUFRANDI_SOMEWHERE;
 }
 
-/* Has a sample about the colour of the nearest one, which is at p? */
-static int zbufrandi_seen_alike(const zbufrandi_seen *c, size_t q, size_t p) {
-    uint32_t a;
-    if (p == ZBUFRANDI_SOMEWHERE) return 0;
-    for (a = 0; a < 3; a++)
-        if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= c->o->tolerance_color)) return 0;
-    return 1;
+/* Is the sample at q on the surface of the nearest one, at p? Not if it is deeper than `slope` times the smaller slope
+   of both over a block; nor if the mean of both slopes, by which 1/z changes from one point of a surface to another,
+   exactly so if 1/z is a quadric, leads elsewhere. Samples lie up to a pixel from where they count; half a percent is
+   left for surfaces that are rough. Depths that differ by dz: d(1/z) = -dz / z^2. */
+static int zbufrandi_seen_fits(const zbufrandi_seen *c, size_t q, size_t p) {
+    const float dx = (float)(int32_t)(q % c->width) - (float)(int32_t)(p % c->width);
+    const float dy = (float)(int32_t)(q / c->width) - (float)(int32_t)(p / c->width);
+    const float qx = c->slope_x[q], qy = c->slope_y[q], px = c->slope_x[p], py = c->slope_y[p];
+    const float gq = sqrtf(qx * qx + qy * qy), gp = sqrtf(px * px + py * py), g = gq < gp ? gq : gp; /* NaN: fits not */
+    const float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(c->keys[p]), rough = 0.005f / z;
+    if (!((z - z_min) / z <= (c->o->tolerance_slope * (float)c->o->block * g + rough) * z)) return 0;
+    return zbufrandi_absf(1.0f / z_min + 0.5f * ((qx + px) * dx + (qy + py) * dy) - 1.0f / z) <= 1.5f * g + rough;
 }
 
-/* at: where the nearest one is, or ZBUFRANDI_SOMEWHERE: it is looked for. */
-static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest, size_t at) {
+/* Does the sample at q count as seen, when `nearest` is the nearest one around? */
+static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t nearest) {
     const zbufrand_reconstruct *o = c->o;
-    float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(nearest);
+    const size_t p = (size_t)(uint32_t)nearest;
+    const float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(nearest);
+    uint32_t a;
     if (c->back != NULL && c->back[q]) return 0;
     if (z <= z_min) return 1;
     if (o->tolerance > 0.0f && z <= z_min * (1.0f + o->tolerance)) return 1;
     if (o->tolerance_projected > 0.0f) {
-        double f = (double)o->focal, a = (double)z, b = (double)z_min;
-        if (f * a / (f + a) <= f * b / (f + b) + (double)o->tolerance_projected) return 1;
+        double f = (double)o->focal, u = (double)z, v = (double)z_min;
+        if (f * u / (f + u) <= f * v / (f + v) + (double)o->tolerance_projected) return 1;
     }
-    if (o->tolerance_slope > 0.0f && c->slope_x != NULL) { /* dz = -z^2 d(1/z) */
-        float g = sqrtf(c->slope_x[q] * c->slope_x[q] + c->slope_y[q] * c->slope_y[q]) * z * z;
-        if (z - z_min <= o->tolerance_slope * g * (float)o->block) return 1;
-    }
+    if (o->tolerance_slope > 0.0f && c->slope_x != NULL && zbufrandi_seen_fits(c, q, p)) return 1;
     if (c->tint == NULL) return 0;
-    return zbufrandi_seen_alike(c, q, at != ZBUFRANDI_SOMEWHERE ? at : zbufrandi_seen_find(c, q, nearest));
+    for (a = 0; a < 3; a++)
+        if (!(zbufrandi_absf(c->tint[3 * q + a] - c->tint[3 * p + a]) <= o->tolerance_color)) return 0;
+    return 1;
 }
 
 static void zbufrandi_squares_task(void *ctx, uint32_t task) {
     const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
     const size_t pixels = (size_t)c->width * c->height;
-    size_t q = task * c->piece, stop = pixels - q < c->piece ? pixels : q + c->piece;
+    size_t q = (size_t)task * ZBUFRANDI_SEEN_PIECE;
+    const size_t stop = pixels - q < ZBUFRANDI_SEEN_PIECE ? pixels : q + ZBUFRANDI_SEEN_PIECE;
     for (; q < stop; q++) {
         const uint64_t key = c->keys[q];
-        c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q], ZBUFRANDI_SOMEWHERE)
-            ? key : ZBUFRANDI_EMPTY;
+        c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q]) ? key : ZBUFRANDI_EMPTY;
+    }
+}
+
+/* The rows y0..y1-1 and columns x0..x1-1 are a cell: keep what is seen of it, or, where squares left nothing of it, its
+   nearest sample. (A surface that recedes has a nearer sample in every square: all of it would go.) */
+static void zbufrandi_cell(const zbufrandi_seen *c, uint32_t x0, uint32_t x1, uint32_t y0, uint32_t y1) {
+    uint64_t nearest = ZBUFRANDI_EMPTY;
+    uint32_t x, y, left = 0;
+    size_t q;
+    for (y = y0; y < y1; y++) {
+        q = (size_t)y * c->width + x0;
+        for (x = x0; x < x1; x++, q++) {
+            if (c->keys[q] >> 32 < nearest >> 32) nearest = (c->keys[q] & 0xffffffff00000000u) | q;
+            if (c->squares && c->out[q] != ZBUFRANDI_EMPTY) left = 1;
+        }
+    }
+    if (c->squares) {
+        q = (size_t)(uint32_t)nearest;
+        if (!left && nearest != ZBUFRANDI_EMPTY && !(c->back != NULL && c->back[q])) c->out[q] = c->keys[q];
+        return;
+    }
+    for (y = y0; y < y1; y++) {
+        q = (size_t)y * c->width + x0;
+        for (x = x0; x < x1; x++, q++) {
+            const uint64_t key = c->keys[q];
+            c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, nearest) ? key : ZBUFRANDI_EMPTY;
+        }
     }
 }
 
 /* A task is a row of cells. One begins at the picture's corner; the first and the last may be cut by the canvas. */
 static void zbufrandi_cells_task(void *ctx, uint32_t task) {
     const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
-    uint32_t d = c->o->block, lead = c->offset % d, x0 = 0, x1, x, y, y0, y1;
+    uint32_t d = c->o->block, lead = c->offset % d, x0 = 0, x1, y0, y1;
     y0 = task == 0 ? 0 : task * d - (lead != 0 ? d - lead : 0);
     y1 = task == 0 && lead != 0 ? lead : y0 + d;
     if (y1 > c->height) y1 = c->height;
-    for (x1 = lead != 0 ? lead : d; x0 < c->width; x0 = x1, x1 += d) {
-        uint64_t nearest = ZBUFRANDI_EMPTY;
-        size_t at = 0;
-        if (x1 > c->width) x1 = c->width;
-        for (y = y0; y < y1; y++) {
-            const size_t row = (size_t)y * c->width;
-            for (x = x0; x < x1; x++) {
-                if (!(c->keys[row + x] < nearest)) continue;
-                nearest = c->keys[row + x];
-                at = row + x;
-            }
-        }
-        for (y = y0; y < y1; y++) {
-            size_t q = (size_t)y * c->width + x0;
-            for (x = x0; x < x1; x++, q++) {
-                const uint64_t key = c->keys[q];
-                c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, nearest, at) ? key : ZBUFRANDI_EMPTY;
-            }
-        }
-    }
+    for (x1 = lead != 0 ? lead : d; x0 < c->width; x0 = x1, x1 += d)
+        zbufrandi_cell(c, x0, x1 < c->width ? x1 : c->width, y0, y1);
 }
 
 /* For squares in their second reading: minima at the places of samples only. */
@@ -12278,19 +12295,11 @@ static void zbufrandi_recon_minimum(const zbufrandi_recon *r, const uint64_t *in
     zbufrandi_recon_for(r, zbufrandi_minimum_task, &c, zbufrandi_minimum_tasks(c.out_height, c.d));
 }
 
-/* Pieces of 16 rows, or fewer pixels if much may have to be looked at for each. */
-static void zbufrandi_recon_squares(const zbufrandi_recon *r, zbufrandi_seen *s) {
-    const uint64_t side = 4 * (uint64_t)(r->o.block / 2) + 1, most = ((uint64_t)1 << 26) / (side * side);
-    const size_t pixels = (size_t)s->width * s->height;
-    s->piece = 16 * (size_t)s->width;
-    if (s->tint != NULL && most < s->piece) s->piece = (size_t)most;
-    zbufrandi_recon_for(r, zbufrandi_squares_task, s, (uint32_t)((pixels + s->piece - 1) / s->piece));
-}
-
 /* Occlusion. Leaves the keys that are seen in r->result. */
 static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
     zbufrandi_seen s;
-    uint32_t tasks = (r->canvas.height + 15) / 16, d = r->o.block;
+    const uint32_t tasks = (r->canvas.height + 15) / 16, d = r->o.block, lead = r->guard % d,
+        cells = (lead != 0) + (r->canvas.height - lead + d - 1) / d;
     r->result = r->canvas.key;
     r->result_width = r->canvas.width;
     r->result_height = r->canvas.height;
@@ -12337,18 +12346,20 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
     s.height = r->canvas.height;
     s.offset = r->guard;
     if (r->o.occlusion == ZBUFRAND_OCCLUSION_CELLS) {
-        uint32_t lead = r->guard % d;
-        zbufrandi_recon_for(r, zbufrandi_cells_task, &s, (lead != 0) + (s.height - lead + d - 1) / d);
-    } else if (d == 1) { /* squares of one pixel hide nothing */
-        s.nearest = r->canvas.key;
-        zbufrandi_recon_squares(r, &s);
+        zbufrandi_recon_for(r, zbufrandi_cells_task, &s, cells);
     } else {
-        zbufrandi_recon_minimum(r, r->canvas.key, r->pass[0], 1);
-        if (r->o.occlusion == ZBUFRAND_OCCLUSION_SQUARES_ALL) {
+        const size_t pixels = (size_t)s.width * s.height;
+        const uint32_t pieces = (uint32_t)((pixels + ZBUFRANDI_SEEN_PIECE - 1) / ZBUFRANDI_SEEN_PIECE);
+        zbufrandi_recon_for(r, zbufrandi_places_task, &s, pieces);
+        if (d == 1) s.nearest = r->pass[1]; /* squares of one pixel hide nothing */
+        else zbufrandi_recon_minimum(r, r->pass[1], r->pass[0], 1);
+        if (d > 1 && r->o.occlusion == ZBUFRAND_OCCLUSION_SQUARES_ALL) {
             zbufrandi_recon_for(r, zbufrandi_mask_task, &s, tasks);
             zbufrandi_recon_minimum(r, r->pass[1], r->pass[0], 1);
         }
-        zbufrandi_recon_squares(r, &s);
+        zbufrandi_recon_for(r, zbufrandi_squares_task, &s, pieces);
+        s.squares = 1;
+        if (d > 1 && r->o.tolerance_slope > 0.0f) zbufrandi_recon_for(r, zbufrandi_cells_task, &s, cells);
     }
     r->result = r->pass[1];
 }
@@ -16519,12 +16530,18 @@ static zbufrand_result zbufrandi_open_lights(zbufrandi_picture *p) {
     return ZBUFRAND_OK;
 }
 
+/* No rays for empty and suspicious pixels? Between samples that nothing fills there are no neighbours to tell them. */
+static int zbufrandi_no_rays(const zbufrand_render_desc *d) {
+    const zbufrand_reconstruct *o = &d->reconstruct;
+    return d->no_repair || (o->block > 1 && o->occlusion != ZBUFRAND_OCCLUSION_BLOCKS && o->fill == ZBUFRAND_FILL_NONE);
+}
+
 /* Samples per square pixel. */
 /* One of several frames, which together have to be complete. Most frames are wrong in some pixel then, of a million in
    seven with strata and rays; with half of these samples it would be 2 of 100, which no mean takes out. */
 enum { ZBUFRANDI_MEAN_DENSITY = 2 };
 static int zbufrandi_shares_samples(const zbufrand_render_desc *d) {
-    return d->noise > 0.0 && !(d->tolerance > 0.0) && !(d->density > 0.0) && !d->no_repair;
+    return d->noise > 0.0 && !(d->tolerance > 0.0) && !(d->density > 0.0) && !zbufrandi_no_rays(d);
 }
 
 /* Less is nothing that 1 - tolerance can say. */
@@ -16543,7 +16560,7 @@ static double zbufrandi_choose_density(const zbufrandi_picture *p) {
     memset(&env, 0, sizeof env);
     if (zbufrandi_reconstruct_check(&env, &o) != ZBUFRAND_OK) return 1.0; /* who opens it says why */
     block = (double)o.block;
-    if (d->no_repair) density = zbufrand_density(pixels, zbufrandi_pixel_window(&o), 1.0 - tolerance);
+    if (zbufrandi_no_rays(d)) density = zbufrand_density(pixels, zbufrandi_pixel_window(&o), 1.0 - tolerance);
     else if (zbufrandi_shares_samples(d)) density = (double)ZBUFRANDI_MEAN_DENSITY / (block * block);
     else density = zbufrandi_complete_density(p->image->width, p->image->height, &o, tolerance);
     if (p->parts <= 1) return density;
@@ -16561,7 +16578,7 @@ static void zbufrandi_set_density(zbufrandi_picture *p) {
     double block = (double)p->f->recon.o.block,
         rays = zbufrandi_exp2(-2.3 * zbufrandi_min(p->cut.density * block * block, 100.0)) / p->cut.density;
     const zbufrand_costs *o = &zbufrandi_default_costs;
-    const float ray = p->d->no_repair ? 0.0f : zbufrandi_cost(c->ray, o->ray) * (float)rays;
+    const float ray = zbufrandi_no_rays(p->d) ? 0.0f : zbufrandi_cost(c->ray, o->ray) * (float)rays;
     p->cut.density_f2 = (float)(p->cut.density * p->cut.camera.focal * p->cut.camera.focal);
     p->cut.triangle = zbufrandi_cost(c->triangle, o->triangle);
     p->cut.edge = zbufrandi_cost(c->edge, o->edge);
@@ -16721,7 +16738,7 @@ static zbufrand_result zbufrandi_draw_picture(zbufrandi_picture *p) {
             1.0 - zbufrand_success_bound(density, pixels, zbufrandi_pixel_window(&r->o)),
             zbufrandi_parts_incomplete(p, block, pixels, zbufrandi_pixel_wrong(&r->o, density)));
         if (p->stats.draws[0] + p->stats.draws[1] == 0) p->stats.incomplete = 0.0;
-        if (d->no_repair || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
+        if (zbufrandi_no_rays(d) || p->scene == NULL || p->stats.draws[0] + p->stats.draws[1] == 0) break;
         /* all is rastered, or what is not has no sample where rays could begin: then all around it failed */
         if (zbufrandi_tally(p->stored) + zbufrandi_tally(p->sampled) == 0) {
             const double wrong = zbufrandi_pixel_wrong(&r->o, density);

@@ -431,14 +431,14 @@ TEST(same_bits) { /* threads 1, 2, 3, 8, 64, both instruction sets, shuffled and
             view_free(&v);
         }
     }
-    CHECK_EQ_U64(all, 0xb11c632d6948bf55u); /* the same on every machine */
+    CHECK_EQ_U64(all, 0xc8002027477d998au); /* the same on every machine */
     free(order);
     drop(&l);
 }
 
 /* ---- cells and squares ------------------------------------------------------------------------------------------- */
 
-/* Survivors by the definitions, over all samples (each pixel keeps its nearest). number -> kept */
+/* Survivors by the definitions, over all samples (each pixel keeps its nearest). number -> kept; 2: as rounding has it */
 static void survivors(const list *l, const zbufrand_canvas_desc *d, uint32_t guard, uint8_t *kept) {
     int w = (int)d->width + 2 * (int)guard, h = (int)d->height + 2 * (int)guard, b = (int)d->reconstruct.block, r = b / 2;
     uint32_t salt = zbufrandi_hash32(1);
@@ -484,8 +484,16 @@ static void survivors(const list *l, const zbufrand_canvas_desc *d, uint32_t gua
         int ok = s->z <= limit[i];
         if (o->tolerance > 0.0f) ok |= s->z <= limit[i] * (1.0f + o->tolerance);
         if (o->tolerance_projected > 0.0f) ok |= f * z / (f + z) <= f * y / (f + y) + (double)o->tolerance_projected;
-        if (o->tolerance_slope > 0.0f) {
-            ok |= s->z - limit[i] <= o->tolerance_slope * (sqrtf(s->slope_x * s->slope_x + s->slope_y * s->slope_y) * s->z * s->z) * (float)b;
+        for (j = 0; j < m && o->tolerance_slope > 0.0f; j++) { /* on a quadric through both? */
+            const zbufrand_sample *t = &l->s[who[j]];
+            double g = fmin(hypot((double)s->slope_x, (double)s->slope_y), hypot((double)t->slope_x, (double)t->slope_y)), off;
+            double room = (g * b * (double)o->tolerance_slope + 0.005 / z) - (z - y) / (z * z);
+            if (t->z != limit[i]) continue;
+            off = (double)(s->slope_x + t->slope_x) * (px[i] - px[j]) + (double)(s->slope_y + t->slope_y) * (py[i] - py[j]);
+            off = 1.5 * g + 0.005 / z - fabs(1 / z - 1 / y - off / 2);
+            if (room < off) off = room;
+            if (!ok) ok = fabs(off) < 1e-5 ? 2 : off > 0;
+            break;
         }
         for (j = 0; j < m && !ok && o->tolerance_color > 0.0f; j++) { /* the nearest one: no two are as deep then */
             const zbufrand_sample *t = &l->s[who[j]];
@@ -497,6 +505,17 @@ static void survivors(const list *l, const zbufrand_canvas_desc *d, uint32_t gua
         if (o->drop_back && (s->flags & ZBUFRAND_SAMPLE_BACK)) ok = 0;
         kept[who[i]] = (uint8_t)ok;
     }
+    for (i = 0; i < m && d->reconstruct.tolerance_slope > 0.0f; i++) { /* the nearest of its cell, of which nothing is left? */
+        int first = 1, left = 0, unsure = 0;
+        for (j = 0; j < m; j++) {
+            if (floor((double)px[i] / b) != floor((double)px[j] / b) || floor((double)py[i] / b) != floor((double)py[j] / b)) continue;
+            if (l->s[who[j]].z < l->s[who[i]].z) first = 0;
+            left |= kept[who[j]] == 1;
+            unsure |= kept[who[j]] == 2;
+        }
+        if (first && !left) kept[who[i]] = unsure ? 2 : 3;
+    }
+    for (i = 0; i < m; i++) if (kept[who[i]] == 3) kept[who[i]] = 1;
     free(who);
     free(px);
     free(py);
@@ -507,6 +526,7 @@ static void survivors(const list *l, const zbufrand_canvas_desc *d, uint32_t gua
 TEST(cells_and_squares) {
     test_rng r = test_rng_make(5);
     int d, variant, occlusion;
+    size_t fitting = 0, nearest = 0;
     uint8_t *kept[3];
     for (d = 1; d <= 9; d++) {
         for (variant = 0; variant < 6; variant++) {
@@ -532,7 +552,9 @@ TEST(cells_and_squares) {
                     int x = (int)floor((double)l.s[i].x), y = (int)floor((double)l.s[i].y), shown = 0;
                     if (x < 0 || y < 0 || x >= (int)w || y >= (int)h) continue;
                     shown = v.p.number[(size_t)y * w + (size_t)x] == i;
-                    wrong += shown != kept[occlusion - 1][i];
+                    wrong += kept[occlusion - 1][i] != 2 && shown != kept[occlusion - 1][i];
+                    fitting += variant == 3 && shown;
+                    nearest += variant == 0 && shown;
                     n[occlusion - 1] += (size_t)shown;
                 }
                 for (q = 0; q < (size_t)w * h; q++) wrong += v.p.number[q] != ~0u && !kept[occlusion - 1][v.p.number[q]];
@@ -540,7 +562,7 @@ TEST(cells_and_squares) {
                 view_free(&v);
             }
             for (i = 0; i < l.n; i++) beyond += kept[2][i] && !kept[1][i];
-            if (variant != 5) { /* which has other colours to compare with */
+            if (variant != 3 && variant != 5) { /* which have another one to compare with */
                 CHECK_EQ_U64(beyond, 0); /* the stricter reading keeps a subset */
                 if (d >= 3) CHECK(n[2] <= n[1]);
             }
@@ -549,6 +571,7 @@ TEST(cells_and_squares) {
             drop(&l);
         }
     }
+    CHECK_MSG(fitting > nearest + nearest / 10, "%u with slopes, %u without", (unsigned)fitting, (unsigned)nearest);
 }
 
 TEST(squares_agree_with_blocks) { /* odd d: a sample survives exactly if the painted picture shows it at its own pixel */
