@@ -1,4 +1,4 @@
-/* tetcast.h - v0.2.0 - volumes on tetrahedra: exact ray casting, isosurfaces - MIT OR Unlicense, see end of file
+/* tetcast.h - v0.2.0 - volumes: tetrahedra, bricks, radial basis functions, foams - MIT OR Unlicense, see end of file
    SPDX-License-Identifier: MIT OR Unlicense
 
    CONTENTS

@@ -1,4 +1,4 @@
-/* voxrt.h - v0.2.0 - sparse voxel octrees: build, file, ray traversal, pictures - MIT OR Unlicense, see end of file
+/* voxrt.h - v0.2.0 - sparse voxel octrees: build, file, rays, bounced light - MIT OR Unlicense, see end of file
    SPDX-License-Identifier: MIT OR Unlicense
 
    CONTENTS
