@@ -1773,7 +1773,8 @@ typedef struct tetcast_rbf_eval_desc {
    desc       NULL: all defaults
    positions  in, [count][3], world. One that is not finite gives NaN
    values     out, [count][components], or NULL
-   jacobians  out, [count][components][3]: derivative of each component along x, y, z, per world unit; or NULL
+   jacobians  out, [count][components][3]: derivative of each component along x, y, z, per world unit; or NULL.
+              Infinite if a function's weight / width^2 is not a float
    Outside of the box the base is that of the nearest point of the box. Errors: INVALID_ARG, UNINIT_DESC, RANGE (2^39
    points). The same bits for any number of threads. Allocates nothing. Cost: 0.3 to 0.5 ns a point and function of its
    cell. */
@@ -1864,7 +1865,7 @@ typedef struct tetcast_rbf_fit_desc {
     uint32_t _end_zero;
 } tetcast_rbf_fit_desc;
 
-/* Errors are shares of the range, measured with the model as it is stored. */
+/* Errors are shares of the range - of the value, where there is only one - measured with the model as it is stored. */
 typedef struct tetcast_rbf_report {
     uint64_t points;             /* used; middles of cells as well */
     uint64_t rejected;           /* with a number that is none, or not below 1e30 */
@@ -2103,8 +2104,8 @@ TETCAST_DEF tetcast_result tetcast_foam_paint(tetcast_foam *foam, const tetcast_
 TETCAST_DEF uint32_t tetcast_foam_cell(const tetcast_foam *foam, uint32_t cell, uint32_t *site, uint32_t *neighbours,
                                        uint32_t room);
 
-/* The cell that has a place in it: that of the nearest site, up to 1e-6 of its distance; of a place outside of the box
-   that of the nearest place in it. start: a cell to begin with, such as that of a place nearby; any number.
+/* The cell that has a place in it: that of the nearest site, up to 1e-6 of its distance and 2e-7 of the box; of a place
+   outside of the box that of the nearest place in it. start: a cell to begin with, such as that of a place nearby; any number.
    TETCAST_NONE for a position that is no number, or beyond 1e100. O(cells on the way). */
 TETCAST_DEF uint32_t tetcast_foam_find(const tetcast_foam *foam, const double position[3], uint32_t start);
 
@@ -18777,12 +18778,15 @@ static int tetcasti_body_good(const tetcast_clip_body *b) {
     return 1;
 }
 
-/* Halve the numbers of a plane together, exactly, until products with places do not overflow. */
+/* Scale the numbers of a plane together, by powers of two, until products with places neither overflow nor vanish. */
 static void tetcasti_plane_scale(tetcast_clip_plane *p) {
-    const double most = 18446744073709551616.0, by = 1.0 / 18446744073709551616.0;
-    while (tetcasti_abs(p->normal[0]) > most || tetcasti_abs(p->normal[1]) > most ||
-           tetcasti_abs(p->normal[2]) > most) {
+    const double more = 18446744073709551616.0, less = 1.0 / 18446744073709551616.0;
+    for (;;) {
+        const double x = tetcasti_max(tetcasti_abs(p->normal[0]), tetcasti_abs(p->normal[1]));
+        const double most = tetcasti_max(x, tetcasti_abs(p->normal[2]));
+        const double by = most > more ? less : most > 0.0 && most < less && tetcasti_abs(p->offset) < 1e280 ? more : 1.0;
         uint32_t a;
+        if (by == 1.0) return;
         for (a = 0; a < 3; a++) p->normal[a] *= by;
         p->offset *= by;
     }
@@ -19243,7 +19247,7 @@ static void tetcasti_shade_optics(tetcasti_shade_ray *r, uint32_t cell, float fr
         r->depth = depth;
         if (o->model == TETCAST_MODEL_ISOSURFACE)
             r->depth += length * ((o->iso[at].value - front) / (back - front));
-    } else if (o->model != TETCAST_MODEL_ISOSURFACE &&
+    } else if (length > 0.0f && o->model != TETCAST_MODEL_ISOSURFACE &&
                !tetcasti_optics_empty(o, front < back ? front : back, front < back ? back : front)) r->depth = depth;
 }
 
@@ -21432,7 +21436,7 @@ static int tetcasti_rbf_order(tetcast_rbf *m) {
 static tetcast_result tetcasti_rbf_check(const tetcast_rbf_desc *d) {
     uint32_t c;
     if (d->components > TETCAST_RBF_MAX_COMPONENTS || (uint32_t)d->kernel >= TETCAST_KERNEL_COUNT ||
-        (d->cut != 0.0f && !(d->cut >= 1.0f && d->cut <= 8.0f)) || !(d->epsilon >= 0.0f && d->epsilon < 1e30f) ||
+        (d->cut != 0.0f && !(d->cut >= 1.0f && d->cut <= 8.0f)) || !(d->epsilon >= 0.0f && d->epsilon < 1e36f) ||
         (d->function_count != 0 && d->functions == NULL) ||
         ((d->base_dims[0] != 0) != (d->base != NULL))) return TETCAST_ERR_INVALID_ARG;
     for (c = 0; c < TETCAST_RBF_MAX_COMPONENTS; c++)
@@ -21802,8 +21806,8 @@ static tetcast_result tetcasti_rbf_read_header(const uint8_t *p, size_t size, te
     } else {
         for (a = 0; a < 3; a++) if (b->position[a] < 1 || b->position[a] > 21) return TETCAST_ERR_FORMAT;
         if (b->width > 8 || b->weight < 2 || b->weight > 24 || b->node < 2 || b->node > 24) return TETCAST_ERR_FORMAT;
-        if (!(b->width_min >= 1e-6f && b->width_min <= 1e-3f * 1e6f / 4.0f) || !(b->weight_step > 1e-37f) ||
-            !(b->weight_step < 1e30f) || !(b->node_step > 1e-37f) || !(b->node_step < 1e30f)) return TETCAST_ERR_FORMAT;
+        if (!(b->width_min >= 1e-6f && b->width_min <= 1e-3f * 1e6f / 4.0f) || !(b->weight_step > 1e-39f) ||
+            !(b->weight_step < 1e30f) || !(b->node_step > 1e-39f) || !(b->node_step < 1e30f)) return TETCAST_ERR_FORMAT;
         if (!(tetcasti_exp2((double)((1u << b->width) - 1u) / 8.0) * (double)b->width_min <= 1e6))
             return TETCAST_ERR_FORMAT;
     }
@@ -23605,7 +23609,7 @@ static void tetcasti_fit_precision(tetcasti_fit *t, int grid) {
 /* Sizes of everything, arrays, bins, blocks. */
 static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in) {
     tetcast_rbf *m = t->m;
-    double volume = 1.0, bin;
+    double volume = 1.0, bin, least;
     uint32_t axes = 0, a, c;
     size_t bins = 1, blocks = 1, i;
     for (a = 0; a < 3; a++)
@@ -23662,7 +23666,8 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
     if (!tetcasti_fit_sort(t, in)) return TETCAST_ERR_NO_MEMORY;
     m->bits.weight = m->bits.node = 24;
     m->bits.weight_step = m->bits.node_step = (float)((t->range * (double)d->max_error - t->rounding) / 8.0);
-    if (!(m->bits.weight_step > 1e-36f)) m->bits.weight_step = m->bits.node_step = 1e-36f;
+    least = tetcasti_max(1e-36, 1.01e-39 / t->unit); /* what files may have, in units of the data */
+    if (!((double)m->bits.weight_step > least)) m->bits.weight_step = m->bits.node_step = (float)least;
     tetcasti_fit_precision(t, in->positions.data == NULL);
     /* data that cannot be met ends the loop */
     if (t->cap > 4 * (size_t)t->count + 64) t->cap = 4 * (size_t)t->count + 64;
@@ -24722,7 +24727,7 @@ static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_d
         tetcasti_fit_measure(t, report);
         if (report->max_error <= (double)d->max_error &&
             (d->mean_error == 0.0f || report->mean_error <= (double)d->mean_error)) return TETCAST_OK;
-        if (report->max_error <= (double)d->max_error) {
+        if (report->max_error <= (double)d->max_error || round > 2) { /* or a unit of a float is missing */
             tolerance *= 0.8;
             t->tolerance = (float)tolerance;
             if (round == 7) round = 6;
@@ -24786,6 +24791,7 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     const uint32_t none[3] = {0, 0, 0};
     tetcast_rbf *m = t->m;
     tetcast_result r;
+    uint32_t c;
     int ok = 1;
     t->middles = d->between != 0 ? tetcasti_fit_middles(in) : 0;
     r = tetcasti_fit_survey(t, d, in);
@@ -24802,7 +24808,9 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     if (r != TETCAST_OK) return r;
     if (t->range == 0.0) { /* one value everywhere */
         if (!tetcasti_fit_base(t, none)) return TETCAST_ERR_NO_MEMORY;
-        t->range = 1.0;
+        t->range = 0.0; /* errors are shares of the value, then */
+        for (c = 0; c < t->n; c++) t->range = tetcasti_max(t->range, tetcasti_abs((double)m->offset[c]));
+        if (!(t->range > 0.0)) t->range = 1.0;
         r = tetcasti_fit_model(t);
         if (r == TETCAST_OK) tetcasti_fit_measure(t, report);
     } else if (!((double)t->tolerance > 1e-7 * t->range)) {
@@ -24925,7 +24933,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     tetcast_rbf_destroy(m);
     return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "fit: no usable point"
                          : r == TETCAST_ERR_RANGE
-                             ? "fit: too many points, or more functions than max_functions are needed"
+                             ? "fit: max_error is less than floats keep, or needs too many points or functions"
                          : r == TETCAST_ERR_CANCELLED ? "fit: cancelled"
                          : r == TETCAST_ERR_NO_MEMORY ? why[3] : why[1]);
 }

@@ -4088,6 +4088,76 @@ TEST(shaded_surface_in_a_flat_cell) {
     tetcast_mesh_destroy(mesh);
 }
 
+/* A flat tetrahedron in which no isovalue lies shows nothing, and has no depth: that of the one behind it, or none. */
+TEST(shaded_depth_of_flat_cells) {
+    static const float position[8][3] = {{-1, -1, 1}, {1, -1, 1}, {1, 1, 1}, {-1, 1, 1}, {-1, -1, 0}, {1, -1, 0}, {0, 1, 0}, {0, 0, -1}};
+    static const float value[8] = {0.7f, 0.8f, 0.9f, 0.75f, 0.7f, 0.7f, 0.7f, 0.8f};
+    static const uint32_t index[8] = {0, 1, 2, 3, 4, 5, 6, 7};
+    const tetcast_control_point points[2] = {{0.0f, {1, 1, 1}, 0.5f}, {1.0f, {1, 1, 1}, 0.5f}};
+    tetcast_field f;
+    tetcast_input in;
+    tetcast_isovalue iso;
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_mesh *mesh = NULL;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    uint32_t k;
+    memset(&f, 0, sizeof f);
+    memset(&in, 0, sizeof in);
+    memset(&iso, 0, sizeof iso);
+    memset(&td, 0, sizeof td);
+    memset(&od, 0, sizeof od);
+    f.values.data = value;
+    in.positions.data = position;
+    in.vertex_count = 8;
+    in.indices = index;
+    in.index_count = 8;
+    in.cell_count = 2;
+    in.fields = &f;
+    in.field_count = 1;
+    CHECK_EQ_U64(tetcast_mesh_create(NULL, &in, NULL, &mesh), TETCAST_OK);
+    iso.opacity = 0.5f;
+    td.points = points;
+    td.point_count = 2;
+    td.isovalues = &iso;
+    td.isovalue_count = 1;
+    od.model = TETCAST_MODEL_MIXED;
+    for (k = 0; k < 6; k++) { /* at the tetrahedron, and beside it; a surface in neither, in both, in the flat one only */
+        const float want = k < 3 ? 5.0f : (float)INFINITY;
+        float rgba[2][4], depth[2];
+        tetcast_shade_desc d;
+        tetcast_render_desc rd;
+        tetcast_image image;
+        memset(&d, 0, sizeof d);
+        memset(&rd, 0, sizeof rd);
+        memset(&image, 0, sizeof image);
+        iso.value = k % 3 == 0 ? 0.3f : k % 3 == 1 ? 0.78f : 0.87f;
+        CHECK_EQ_U64(tetcast_transfer_create(&td, &t), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_optics_create(t, &od, &o), TETCAST_OK);
+        REQUIRE(mesh != NULL && o != NULL);
+        d.camera.eye[0] = d.camera.at[0] = k < 3 ? 0.05 : 0.9;
+        d.camera.eye[1] = d.camera.at[1] = k < 3 ? -0.1 : 0.85;
+        d.camera.eye[2] = 5.0;
+        d.camera.fov_y = 10.0f;
+        rd.camera = d.camera;
+        image.width = image.height = 1;
+        image.rgba = rgba[0];
+        image.depth = &depth[0];
+        CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+        image.rgba = rgba[1];
+        image.depth = &depth[1];
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+        CHECK_NEAR((double)rgba[0][3], (double)rgba[1][3], 1e-6);
+        if (k % 3 == 0) CHECK(rgba[0][3] > 0.0f ? fabsf(depth[1] - want) < 1e-5f : depth[1] == want);
+        CHECK((depth[0] < (float)INFINITY) == (depth[1] < (float)INFINITY));
+        if (depth[0] < (float)INFINITY) CHECK_NEAR((double)depth[0], (double)depth[1], 1e-5);
+        tetcast_optics_destroy(o);
+        tetcast_transfer_destroy(t);
+    }
+    tetcast_mesh_destroy(mesh);
+}
+
 /* Bodies as large as they may be, and planes whose normals are: as those of size 1. */
 TEST(clips_of_any_size) {
     static const double sizes[] = {1.0, 1e90, 1e110, 1e149};
@@ -4123,19 +4193,19 @@ TEST(clips_of_any_size) {
     d.body_count = 0;
     d.planes = &plane;
     d.plane_count = 1;
-    for (i = 0; i < 4; i++) { /* x >= y + 1 */
-        const double n = i == 0 ? 1.0 : i == 1 ? 1e30 : i == 2 ? 1e300 : 1e-300;
+    for (i = 0; i < 5; i++) { /* x >= y + 1 */
+        const double n = i == 0 ? 1.0 : i == 1 ? 1e30 : i == 2 ? 1e300 : i == 3 ? 1e-300 : ldexp(1.0, -1070);
         plane.normal[0] = n;
         plane.normal[1] = -n;
         plane.normal[2] = 0.0;
         plane.offset = n;
         memset(&ray, 0, sizeof ray);
-        ray.org[0] = 1e10;
-        ray.org[1] = 1e10 + 4.0;
+        ray.org[0] = i == 4 ? 0.3 : 1e10;
+        ray.org[1] = i == 4 ? 4.3 : 1e10 + 4.0;
         ray.dir[0] = 1.0;
         REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
         CHECK_EQ_U64(tetcast_clip_spans(c, &ray, span, 2), 1);
-        CHECK_NEAR(span[0][0], 5.0, 1e-4);
+        CHECK_NEAR(span[0][0], 5.0, i == 4 ? 1e-14 : 1e-4);
         CHECK(span[0][1] == 1e300);
         tetcast_clip_destroy(c);
     }
@@ -4847,6 +4917,7 @@ int main(int argc, char **argv) {
     RUN(shaded_tetrahedra);
     RUN(shaded_without_hidden_cells);
     RUN(shaded_surface_in_a_flat_cell);
+    RUN(shaded_depth_of_flat_cells);
     RUN(clips_of_any_size);
     RUN(refined_grids);
     RUN(refinement_ratios);

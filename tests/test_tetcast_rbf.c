@@ -760,6 +760,10 @@ TEST(files_of_large_weights) {
         CHECK(again != NULL && again->count == 1 && again->weight[0] == weight[k % 3]);
         free(p);
         tetcast_rbf_destroy(again);
+        d.epsilon = m->epsilon; /* what a model has may be asked for */
+        again = make(&d);
+        CHECK(again != NULL && again->epsilon == m->epsilon);
+        tetcast_rbf_destroy(again);
         tetcast_rbf_destroy(m);
     }
 }
@@ -1319,6 +1323,45 @@ TEST(values_that_are_no_floats) {
             tetcast_rbf_destroy(m);
         }
     CHECK(good >= 7);
+}
+
+/* One value, which no float is: its error is a share of it. And a range so small that steps of weights are hardly floats: files
+   of that are read. */
+TEST(constants_and_tiny_ranges) {
+    static const double constant[5] = {0.1, 101325.1, 1000000000.33, 6.02214076e23, -1.6e-19};
+    static double value[6 * 6 * 6];
+    tetcast_rbf_points p = grid_points(NULL, 6, 6, 6, 1);
+    tetcast_rbf_fit_desc q;
+    tetcast_rbf_report report;
+    tetcast_rbf *m = NULL, *again = NULL;
+    uint32_t i, k, got = 0;
+    memset(&q, 0, sizeof q);
+    p.values.data = value;
+    p.values.type = TETCAST_TYPE_F64;
+    for (k = 0; k < 5; k++) {
+        const double at[3] = {1, 2, 3};
+        float v;
+        for (i = 0; i < 216; i++) value[i] = constant[k];
+        REQUIRE(tetcast_rbf_fit(&q, &p, &report, &m) == TETCAST_OK);
+        CHECK(tetcast_rbf_eval(NULL, m, at, 1, &v, NULL) == TETCAST_OK);
+        CHECK_MSG(report.max_error < 1.2e-7 && fabs((double)v / constant[k] - 1.0) <= report.max_error * 1.001, "%g: told %g",
+                  constant[k], report.max_error);
+        tetcast_rbf_destroy(m);
+    }
+    q.max_error = 1e-6f;
+    for (k = 0; k < 10; k++) {
+        uint8_t *bytes;
+        size_t size;
+        for (i = 0; i < 216; i++) value[i] = 1.01e-30 * (5.0 + 0.25 * k + (double)((i * 2654435761u >> 8) % 1000u) / 999.0);
+        if (tetcast_rbf_fit(&q, &p, &report, &m) != TETCAST_OK) continue;
+        got++;
+        bytes = save(m, &size);
+        CHECK(tetcast_rbf_load_memory(NULL, bytes, size, &again) == TETCAST_OK);
+        free(bytes);
+        tetcast_rbf_destroy(again);
+        tetcast_rbf_destroy(m);
+    }
+    CHECK(got >= 3);
 }
 
 /* ---- steps of a series ---- */
@@ -2685,6 +2728,7 @@ int main(int argc, char **argv) {
     RUN(few_and_more);
     RUN(few_are_too_many);
     RUN(values_that_are_no_floats);
+    RUN(constants_and_tiny_ranges);
     RUN(series);
     RUN(starts);
     RUN(odd_data);
