@@ -18254,6 +18254,79 @@ static voxrt_result voxrti_edit_set(voxrti_edit *e, const voxrt_env *env, voxrt_
     return r;
 }
 
+/* Does a corner lie beyond what a tree of that resolution has? */
+static int voxrti_mesh_beyond(const voxrt_mesh *mesh, const voxrti_grid *grid) {
+    size_t i, vertex;
+    uint32_t k, a;
+    if (grid->resolution >> grid->depth != 0) return 0;
+    for (i = 0; i < mesh->triangle_count; i++)
+        for (k = 0; k < 3; k++) {
+            float p[3];
+            if (!voxrti_mesh_vertex(mesh, i, k, &vertex, p)) continue;
+            for (a = 0; a < 3; a++)
+                if (((double)p[a] - grid->origin[a]) / grid->voxel_size > (double)grid->resolution) return 1;
+        }
+    return 0;
+}
+
+/* Bits of the voxels of a block that have a coordinate of `from` or more. */
+static uint64_t voxrti_block_beyond(uint64_t key, uint32_t from) {
+    uint64_t mask = 0;
+    uint32_t a, i;
+    for (a = 0; a < 3; a++)
+        for (i = 0; i < 4; i++) mask |= 4 * voxrti_compact3(key >> a) + i >= from ? voxrti_layer[a][i] : 0;
+    return mask;
+}
+
+/* Add to `set` the voxels of `more`, which is of the same mesh and used up, that have a coordinate of `from` or more.
+   0: no memory, then `set` is as it was. */
+static int voxrti_leafset_extend(voxrti_mem *mem, voxrti_leafset *set, voxrti_leafset *more, uint32_t from) {
+    const size_t blocks = set->block_count + more->block_count, voxels = set->voxel_count + more->voxel_count;
+    const int rgb = set->rgb != NULL || more->rgb != NULL, normal = set->normal != NULL || more->normal != NULL,
+        plane = set->plane != NULL || more->plane != NULL;
+    voxrti_leafset all = *more;
+    size_t i = 0, j = 0, n[2] = {0, 0};
+    int ok;
+    all.key = (uint64_t *)voxrti_alloc_array(mem, blocks, sizeof *all.key);
+    all.mask = (uint64_t *)voxrti_alloc_array(mem, blocks, sizeof *all.mask);
+    all.rgb = rgb ? (uint32_t *)voxrti_alloc_array(mem, voxels, sizeof *all.rgb) : NULL;
+    all.normal = normal ? (uint16_t *)voxrti_alloc_array(mem, voxels, sizeof *all.normal) : NULL;
+    all.plane = plane ? (uint8_t *)voxrti_alloc_array(mem, voxels, 1) : NULL;
+    all.block_count = all.voxel_count = 0;
+    ok = all.key != NULL && all.mask != NULL && rgb == (all.rgb != NULL) && normal == (all.normal != NULL) &&
+         plane == (all.plane != NULL);
+    while (ok && (i < set->block_count || j < more->block_count)) {
+        const int first = i < set->block_count && (j == more->block_count || set->key[i] <= more->key[j]);
+        const uint64_t key = first ? set->key[i] : more->key[j];
+        const uint64_t in = first ? set->mask[i] : 0;
+        const uint64_t other = j < more->block_count && more->key[j] == key ? more->mask[j] : 0;
+        const uint64_t mask = in | (other & voxrti_block_beyond(key, from));
+        uint32_t bit;
+        i += (size_t)first;
+        j += other != 0 ? 1u : 0u;
+        for (bit = 0; bit < 64; bit++) {
+            const int here = (int)(in >> bit & 1u), there = (int)(other >> bit & 1u);
+            const voxrti_leafset *s = here ? set : more;
+            const size_t at = n[!here], to = all.voxel_count;
+            if ((mask >> bit & 1u) != 0) {
+                if (rgb) all.rgb[to] = s->rgb != NULL ? s->rgb[at] : 0xffffffu;
+                if (normal) all.normal[to] = s->normal != NULL ? s->normal[at] : (uint16_t)0;
+                if (plane) all.plane[to] = s->plane != NULL ? s->plane[at] : (uint8_t)0;
+                all.voxel_count++;
+            }
+            n[0] += (size_t)here;
+            n[1] += (size_t)there;
+        }
+        if (mask == 0) continue;
+        all.key[all.block_count] = key;
+        all.mask[all.block_count++] = mask;
+    }
+    voxrti_leafset_free(mem, more);
+    voxrti_leafset_free(mem, ok ? set : &all);
+    if (ok) *set = all;
+    return ok;
+}
+
 VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_desc *desc, const voxrt_mesh *mesh,
                                         voxrt_edit_stats *stats) {
     voxrt_edit_desc d;
@@ -18261,10 +18334,11 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     voxrt_build_stats built;
     voxrti_mem mem;
     voxrti_edit e;
-    voxrti_leafset set;
+    voxrti_leafset set, more;
     voxrti_stage stage;
     voxrti_grid grid;
     voxrt_env env;
+    int beyond;
     voxrt_result r = voxrti_edit_open(model, desc, stats, &d, &mem, &e);
     if (r != VOXRT_OK || e.m == NULL) return r;
     r = voxrti_mesh_check(mesh, VOXRTI_TRIANGLES, d.env.error);
@@ -18275,16 +18349,24 @@ VOXRT_DEF voxrt_result voxrt_model_mesh(voxrt_model *model, const voxrt_edit_des
     env = d.env;
     b = model->build;
     b.finish_count = 0; /* the edit says which finish there is */
-    voxrti_stage_open(&stage, &env, 0, 1, 2, &b.env);
+    beyond = voxrti_mesh_beyond(mesh, &model->grid);
+    voxrti_stage_open(&stage, &env, 0, 1, beyond ? 3 : 2, &b.env);
     b.env.allocator = mem.allocator;
     grid = model->grid;
-    grid.resolution = (uint32_t)1 << grid.depth; /* edits reach all voxels, also beyond what the tree had */
     r = voxrti_voxelize(&mem, &b, mesh, &grid, NULL, &built, &set);
+    if (r == VOXRT_OK && beyond) { /* edits reach all voxels; those that the tree had are found as it found them */
+        voxrti_stage_open(&stage, &env, 1, 1, 3, &b.env);
+        b.env.allocator = mem.allocator;
+        grid.resolution = (uint32_t)1 << grid.depth;
+        r = voxrti_voxelize(&mem, &b, mesh, &grid, NULL, &built, &more);
+        if (r != VOXRT_OK) voxrti_leafset_free(&mem, &more);
+        else if (!voxrti_leafset_extend(&mem, &set, &more, model->grid.resolution)) r = VOXRT_ERR_NO_MEMORY;
+    }
     if (r != VOXRT_OK) {
         voxrti_leafset_free(&mem, &set);
         return voxrti_fail(d.env.error, r, 0, voxrt_result_string(r));
     }
-    voxrti_stage_open(&stage, &env, 1, 1, 2, &d.env);
+    voxrti_stage_open(&stage, &env, beyond ? 2 : 1, 1, beyond ? 3 : 2, &d.env);
     return voxrti_edit_set(&e, &d.env, model, &set, stats);
 }
 
@@ -23925,21 +24007,13 @@ static void voxrti_gi_track(voxrt_gi *gi) {
 }
 
 /* Bring triangles that emit along a Z curve, and add up their power: equal parts of the sum are patches of a lamp then,
-   so points that are even in the sum see it from one side, or shadows of it, evenly, too. */
-static voxrt_result voxrti_gi_sort_emitters(voxrt_gi *gi) {
+   so points that are even in the sum see it from one side, or shadows of it, evenly, too. key, copy: room for all. */
+static void voxrti_gi_sort_emitters(voxrt_gi *gi, uint64_t *key, voxrti_emitter *copy) {
     const size_t n = gi->emitter_count;
-    uint64_t *key = (uint64_t *)voxrti_alloc_array(&gi->mem, n, sizeof *key);
-    voxrti_emitter *copy = (voxrti_emitter *)voxrti_alloc_array(&gi->mem, n, sizeof *copy);
     float lo[3] = {INFINITY, INFINITY, INFINITY}, size = 0.0f;
     double sum = 0.0;
     size_t i;
     uint32_t a;
-    if (key == NULL || copy == NULL) { /* in the order in which they are, they are lamps as well */
-        for (i = 0; i < n; i++) gi->emitter[i].sum = sum += gi->emitter[i].sum;
-        voxrti_free(&gi->mem, key);
-        voxrti_free(&gi->mem, copy);
-        return VOXRT_ERR_NO_MEMORY;
-    }
     memcpy(copy, gi->emitter, n * sizeof *copy);
     for (i = 0; i < n; i++) for (a = 0; a < 3; a++) lo[a] = copy[i].p[a] < lo[a] ? copy[i].p[a] : lo[a];
     for (i = 0; i < n; i++)
@@ -23957,27 +24031,35 @@ static voxrt_result voxrti_gi_sort_emitters(voxrt_gi *gi) {
         gi->emitter[i] = copy[key[i] & 0xffffffffu];
         gi->emitter[i].sum = sum += gi->emitter[i].sum;
     }
-    voxrti_free(&gi->mem, key);
-    voxrti_free(&gi->mem, copy);
-    return VOXRT_OK;
 }
 
-/* All triangles of objects that emit light. */
+/* All triangles of objects that emit light. Without memory the list stays: the unit of what has bounced is of it. */
 static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
+    voxrti_emitter *more = NULL, *copy = NULL;
+    uint64_t *key = NULL;
     size_t i, t, room = 0;
-    gi->emitter_count = 0;
     for (i = 0; i < gi->entry_count; i++) {
         const voxrti_gi_entry *e = &gi->entry[i];
         if (e->used && e->emission[0] + e->emission[1] + e->emission[2] > 0.0f) room += e->object.mesh.triangle_count;
     }
     if ((uint64_t)room >> 32 != 0) return VOXRT_ERR_NO_MEMORY;
-    if (room > gi->emitter_capacity) {
+    if (room != 0) {
+        key = (uint64_t *)voxrti_alloc_array(&gi->mem, room, sizeof *key);
+        copy = (voxrti_emitter *)voxrti_alloc_array(&gi->mem, room, sizeof *copy);
+        if (room > gi->emitter_capacity) more = (voxrti_emitter *)voxrti_alloc_array(&gi->mem, room, sizeof *more);
+        if (key == NULL || copy == NULL || (room > gi->emitter_capacity && more == NULL)) {
+            voxrti_free(&gi->mem, key);
+            voxrti_free(&gi->mem, copy);
+            voxrti_free(&gi->mem, more);
+            return VOXRT_ERR_NO_MEMORY;
+        }
+    }
+    if (more != NULL) {
         voxrti_free(&gi->mem, gi->emitter);
-        gi->emitter_capacity = 0;
-        gi->emitter = (voxrti_emitter *)voxrti_alloc_array(&gi->mem, room, sizeof *gi->emitter);
-        if (gi->emitter == NULL) return VOXRT_ERR_NO_MEMORY;
+        gi->emitter = more;
         gi->emitter_capacity = room;
     }
+    gi->emitter_count = 0;
     for (i = 0; i < gi->entry_count && room != 0; i++) {
         const voxrti_gi_entry *e = &gi->entry[i];
         const voxrt_mesh *mesh = &e->object.mesh;
@@ -24018,7 +24100,10 @@ static voxrt_result voxrti_gi_find_emitters(voxrt_gi *gi) {
             gi->emitter_count++;
         }
     }
-    return gi->emitter_count != 0 ? voxrti_gi_sort_emitters(gi) : VOXRT_OK;
+    if (gi->emitter_count != 0) voxrti_gi_sort_emitters(gi, key, copy);
+    voxrti_free(&gi->mem, key);
+    voxrti_free(&gi->mem, copy);
+    return VOXRT_OK;
 }
 
 static void voxrti_gi_left_free(voxrt_gi *gi) {

@@ -2870,7 +2870,7 @@ static int after_moves(const moves *m, moved_state *want, voxrt_result *stopped)
     voxrt_gi_desc d;
     voxrt_gi *gi = NULL, *g;
     voxrt_gi_object o[2];
-    voxrt_gi_light light = point_light(0, 3, 0, 9);
+    voxrt_gi_light light = point_light(0, 3, 0, 9e-12); /* what glows is brighter by far */
     uint32_t k, l, place, same = 1;
     const int fill = m->how == 0;
     memset(&s, 0, sizeof s);
@@ -2896,6 +2896,7 @@ static int after_moves(const moves *m, moved_state *want, voxrt_result *stopped)
     o[1] = object_of(&b, 0);
     o[1].material.emission[0] = 2.0f;
     for (place = 0; place <= m->places; place++) {
+        o[0].material.emission[1] = place == 0 ? 0.0f : 0.01f; /* more triangles glow than before */
         for (k = 0; k < 2; k++) {
             for (l = 0; l < 12; l++) o[k].to_world[l] = l % 5 == 0;
             for (l = 0; l < 3; l++) o[k].to_world[4 * l + 3] = way[place][l] * (k == 0 ? -1.0 : 1.0) + (k == 0 ? -1.0 : 1.0);

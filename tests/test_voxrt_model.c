@@ -605,6 +605,84 @@ TEST(beyond_the_resolution) {
     voxrt_model_destroy(plain);
 }
 
+/* The mesh that a tree was made of finds the tree's voxels again, also those of faces on the far side of its box and of triangles
+   that leave it; and voxels beyond are those of a whole grid. Without memory nothing changes. */
+TEST(edits_by_the_same_mesh) {
+    static const float corner[8][3] = {{0, 0, 0}, {100, 0, 0}, {0, 100, 0}, {100, 100, 0}, {0, 0, 100}, {100, 0, 100}, {0, 100, 100}, {100, 100, 100}};
+    static const uint32_t cube[36] = {0, 2, 3, 0, 3, 1, 4, 5, 7, 4, 7, 6, 0, 1, 5, 0, 5, 4, 2, 6, 7, 2, 7, 3, 0, 4, 6, 0, 6, 2, 1, 3, 7, 1, 7, 5};
+    static const float cut[9] = {-7.3f, 11.1f, 20.7f, 119.9f, 31.3f, 44.2f, 60.1f, 117.7f, 90.3f};
+    uint32_t way;
+    for (way = 0; way < 4; way++) { /* the cube, the triangle; with planes */
+        test_alloc ta;
+        voxrt_mesh mesh;
+        voxrt_build_desc bd;
+        voxrt_edit_desc d;
+        voxrt_model_info info, before;
+        voxrt_edit_stats stats;
+        voxrt_env env;
+        voxrt_tree *t = NULL;
+        voxrt_model *m = NULL, *copy = NULL, *whole = NULL;
+        voxrt_result got = VOXRT_ERR_NO_MEMORY;
+        uint32_t x, y, z, k, beyond = 0;
+        memset(&mesh, 0, sizeof mesh);
+        memset(&bd, 0, sizeof bd);
+        memset(&d, 0, sizeof d);
+        memset(&env, 0, sizeof env);
+        test_alloc_init(&ta);
+        mesh.positions = way % 2 ? cut : corner[0];
+        mesh.vertex_count = way % 2 ? 3 : 8;
+        mesh.indices = way % 2 ? NULL : cube;
+        mesh.triangle_count = way % 2 ? 1 : 12;
+        bd.resolution = 100;
+        bd.box_size = 100.0;
+        bd.planes = way / 2;
+        REQUIRE(voxrt_tree_build(&bd, &mesh, NULL, &t) == VOXRT_OK);
+        bd.resolution = 128;
+        bd.box_size = 128.0;
+        env.allocator.alloc_fn = test_alloc_fn;
+        env.allocator.free_fn = test_free_fn;
+        env.allocator.user = &ta;
+        env.thread_count = 1;
+        d.env = env;
+        REQUIRE(voxrt_model_from_tree(&env, t, &m) == VOXRT_OK && voxrt_model_copy(&env, m, &copy) == VOXRT_OK);
+        voxrt_tree_destroy(t);
+        REQUIRE(voxrt_tree_build(&bd, &mesh, NULL, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &whole) == VOXRT_OK);
+        voxrt_model_get_info(m, &before);
+        for (k = 0; got == VOXRT_ERR_NO_MEMORY; k++) {
+            ta.fail_at = ta.count + k;
+            got = voxrt_model_mesh(m, &d, &mesh, &stats);
+            if (got == VOXRT_OK) break;
+            voxrt_model_get_info(m, &info);
+            CHECK(got == VOXRT_ERR_NO_MEMORY && info.voxel_count == before.voxel_count);
+        }
+        ta.fail_at = -1;
+        CHECK(k > 10);
+        voxrt_model_get_info(m, &info);
+        for (z = 0; z < 128; z++)
+            for (y = 0; y < 128; y++)
+                for (x = 0; x < 128; x++) {
+                    const int is = voxrt_model_get(m, 7, x, y, z, NULL), out = x >= 100 || y >= 100 || z >= 100;
+                    if (is != (out && way % 2 ? voxrt_model_get(whole, 7, x, y, z, NULL) : voxrt_model_get(copy, 7, x, y, z, NULL)))
+                        CHECK_MSG(0, "way %u: %u %u %u", way, x, y, z);
+                    beyond += (uint32_t)(is && out);
+                }
+        CHECK(way % 2 ? beyond > 100 : beyond == 0);
+        CHECK_EQ_U64(info.voxel_count, before.voxel_count + beyond);
+        d.op = VOXRT_EDIT_CLEAR;
+        CHECK(voxrt_model_mesh(m, &d, &mesh, &stats) == VOXRT_OK);
+        CHECK(voxrt_model_mesh(copy, &d, &mesh, &stats) == VOXRT_OK);
+        voxrt_model_get_info(copy, &info);
+        CHECK_EQ_U64(info.voxel_count, 0);
+        voxrt_model_get_info(m, &info);
+        CHECK_EQ_U64(info.voxel_count, 0);
+        voxrt_tree_destroy(t);
+        voxrt_model_destroy(m);
+        voxrt_model_destroy(copy);
+        voxrt_model_destroy(whole);
+        test_alloc_check(&ta);
+    }
+}
+
 /* Without memory nothing has happened, and nothing leaks. */
 typedef struct failing { uint32_t left; int64_t bytes; } failing;
 static void *failing_alloc(size_t size, void *user) {
@@ -824,6 +902,7 @@ int main(int argc, char **argv) {
     RUN(edges_of_blocks);
     RUN(same_picture);
     RUN(beyond_the_resolution);
+    RUN(edits_by_the_same_mesh);
     RUN(allocation_failures);
     RUN(memory_limits);
     RUN(arguments);
