@@ -6803,6 +6803,7 @@ static int tetcasti_beam_meets(const tetcasti_beam *m, const float lo[3], const 
 typedef struct tetcasti_pixels {
     double eye[3], right[3], up[3], forward[3]; /* local eye; right and up divided by the size of a pixel */
     double center_x, center_y;                  /* of the picture, in pixels of the tile */
+    double blur;                                /* local: how far off a ray may be, also as its eye is a rounded one */
     uint32_t parallel;
     uint32_t width, height;                     /* of the tile; rays are in rows of TETCASTI_TILE */
     uint32_t group;                             /* of all rays that can meet the mesh; NO_RAY: there are several */
@@ -6850,13 +6851,13 @@ static int tetcasti_face_pixels(const tetcasti_pixels *m, const tetcasti_vertex 
         if (i == 0 || u < y[0]) y[0] = u;
         if (i == 0 || u > y[1]) y[1] = u;
     }
-    if (!m->parallel && farthest < -2.0 * (double)TETCASTI_MARGIN) return 0; /* behind the eye */
+    if (!m->parallel && farthest < -2.0 * m->blur) return 0; /* behind the eye */
     rect[0] = rect[1] = 0;
     rect[2] = m->width;
     rect[3] = m->height;
-    if (!m->parallel && !(nearest > 2.0 * (double)TETCASTI_MARGIN)) return 1; /* reaches to the eye's plane */
+    if (!m->parallel && !(nearest > 2.0 * m->blur)) return 1; /* reaches to the eye's plane */
     margin = sqrt(m->right[0] * m->right[0] + m->right[1] * m->right[1] + m->right[2] * m->right[2]) *
-             (double)TETCASTI_MARGIN * (m->parallel ? 1.0 : 1.0 / nearest) + 0.5;
+             m->blur * (m->parallel ? 1.0 : 1.0 / nearest) + 0.5;
     x[0] -= margin;
     y[0] -= margin;
     x[1] += margin;
@@ -13535,7 +13536,9 @@ static void tetcasti_tile_rays(const tetcasti_render *c, tetcasti_batch *b, uint
     t.height = m->height = f->height - y0 < TETCASTI_TILE ? f->height - y0 : TETCASTI_TILE;
     for (a = 0; a < 3; a++) size += f->right[a] * f->right[a];
     if (f->parallel) size *= c->scale; /* p . right / size: pixels per local unit */
+    m->blur = (double)TETCASTI_MARGIN;
     for (a = 0; a < 3; a++) {
+        m->blur += tetcasti_abs(c->local_eye[a]) * (1.0 / 1125899906842624.0); /* 2^-50 */
         t.local_eye[a] = m->eye[a] = c->local_eye[a];
         m->right[a] = size > 0.0 ? f->right[a] / size : 0.0;
         m->up[a] = size > 0.0 ? f->up[a] / size : 0.0;

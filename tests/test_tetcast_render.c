@@ -449,6 +449,40 @@ TEST(wide_angles) { /* 170 degrees: rays of one tile look along different axes *
     scene_free(&s);
 }
 
+TEST(narrow_views) { /* from so far that doubles do not tell pixels apart: the same picture for every isa, and something in it */
+    uint32_t k, i, seen;
+    for (k = 0; k < 24; k++) {
+        scene s;
+        tetcast_render_desc d = defaults();
+        memset(&s, 0, sizeof s);
+        tets_lattice(&s.t, 5, 5, 5, 6, NULL);
+        s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
+        REQUIRE(s.mesh != NULL);
+        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+        d.camera.fov_y = d.camera.ortho_height = 0;
+        if (k % 2 == 0) d.camera.fov_y = (float)pow(10, -3.0 * (k / 2 + 1)); /* eye equals at: it is put where all is seen */
+        else { /* parallel, and the eye as far away */
+            d.camera.ortho_height = 6;
+            look(&d, 2, 2, 2 - pow(10, 3.0 * (k / 2 + 1)), 2, 2, 2);
+            d.camera.eye[0] += 0.3 * d.camera.eye[2];
+        }
+        d.isa = TETCAST_ISA_SCALAR;
+        if (k % 2 == 0) memset(d.camera.eye, 0, sizeof d.camera.eye);
+        if (k % 2 == 0) memset(d.camera.at, 0, sizeof d.camera.at);
+        CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[0], NULL), TETCAST_OK);
+        d.isa = TETCAST_ISA_AUTO;
+        CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[1], NULL), TETCAST_OK);
+        for (i = seen = 0; i < 31 * 31; i++) {
+            const uint32_t x = i % 31, y = i / 31;
+            seen += pic[0].length[y][x] > 0;
+            CHECK_MSG(pic[0].length[y][x] == pic[1].length[y][x] && memcmp(pic[0].rgba[y][x], pic[1].rgba[y][x], 16) == 0,
+                      "view %u: pixel %u %u", k, x, y);
+        }
+        CHECK_MSG(seen > 200 || k / 2 > 3, "view %u: %u pixels", k, seen);
+        scene_free(&s);
+    }
+}
+
 /* ---- sizes, buffers, background ---- */
 
 TEST(sizes) {
@@ -1353,6 +1387,7 @@ int main(int argc, char **argv) {
     RUN(eye_inside);
     RUN(eye_in_tangled_cells);
     RUN(wide_angles);
+    RUN(narrow_views);
     RUN(sizes);
     RUN(background_and_bytes);
     RUN(encoder);
