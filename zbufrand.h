@@ -1109,11 +1109,12 @@ typedef struct zbufrand_costs {
                    are covered as a whole, d pixels beyond the borders of the picture, too. Where a Gaussian mixes
                    samples of cells or squares, a pixel counts as deep as the nearest of them, whatever its depth in
                    the picture is; so with pull-push where it keeps none of its own. Gaps between cells or squares that
-                   nothing fills do not count (fill none, `reach` or a Gaussian that reaches less than a block); nor
-                   do, with tolerance_slope, hidden surfaces where a steep visible one would go on if it did. Holds
-                   for what is sampled; what is rastered misses nothing; a ray that meets the seam of two instances
-                   exactly may pass between them. With `noise` and without a tolerance frames have half as many
-                   samples, and what is reported is about all of them: that somewhere none is right
+                   nothing fills do not count (fill none, `reach` or a Gaussian that reaches less than a block,
+                   squares with a tolerance_slope below 0); nor do, with tolerance_slope, hidden surfaces where a steep
+                   visible one would go on if it did. Holds for what is sampled; what is rastered misses nothing; a ray
+                   that meets the seam of two instances exactly may pass between them. With `noise`, without a tolerance
+                   and where rays help, frames have half as many samples, and what is reported is about all of them:
+                   that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E
@@ -1128,8 +1129,8 @@ typedef struct zbufrand_costs {
                    no part is right, so that each part needs fewer samples. Depth and node are those of the nearest
                    part; what else is counted in pixels (stats, density, reconstruct, surface.pixel) is about the
                    larger picture. 24 bytes more for each part. Only for zbufrand_render
-   reconstruct     one pixel per sample; no fill; see there. Its `repair` is screen-space mending; for rays see
-                   no_repair. Cells and squares without a fill get no rays, and so need more samples
+   reconstruct     one pixel per sample; no fill; see there. Its `repair` is for canvases and does not count here; for
+                   rays see no_repair. Cells and squares without a fill get no rays, and so need more samples
    hybrid          by cost
    hybrid_radius   HYBRID_CUBE: only what touches the eye; not below 0
    costs           the defaults
@@ -1276,8 +1277,9 @@ ZBUFRAND_DEF zbufrand_result zbufrand_measure_costs(const zbufrand_frame_desc *d
    scene   in; NULL, or not built: only desc->points
    image   buffers in and out; a width or height of 0 is allowed
    stats   out, may be NULL; on failure of what was done until then
-   The same bits for any number of threads and any isa, but for stats->accepted. Any number of frames may draw one scene
-   at once. Colours of lights, ambient and background are within -1e12 and 1e12, so that no pixel overflows.
+   The same bits for any number of threads and any isa, but for `accepted` and `projected_area` of stats. Any number of
+   frames may draw one scene at once. Colours of lights, ambient and background are within -1e12 and 1e12, so that no
+   pixel overflows.
    O(samples + pixels + nodes of the trees that are opened).
    Errors: INVALID_ARG, UNINIT_DESC, RANGE (a picture larger than 32000 a side, more than 2^32 samples or 65535 lights,
    a block or a Gaussian too large), NO_MEMORY, CANCELLED (the picture is incomplete then).
@@ -11209,11 +11211,12 @@ static void zbufrandi_places_task(void *ctx, uint32_t task) {
 static int zbufrandi_seen_fits(const zbufrandi_seen *c, size_t q, size_t p) {
     const float dx = (float)(int32_t)(q % c->width) - (float)(int32_t)(p % c->width);
     const float dy = (float)(int32_t)(q / c->width) - (float)(int32_t)(p / c->width);
-    const float qx = c->slope_x[q], qy = c->slope_y[q], px = c->slope_x[p], py = c->slope_y[p];
-    const float gq = sqrtf(qx * qx + qy * qy), gp = sqrtf(px * px + py * py), g = gq < gp ? gq : gp; /* NaN: fits not */
-    const float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(c->keys[p]), rough = 0.005f / z;
-    if (!((z - z_min) / z <= (c->o->tolerance_slope * (float)c->o->block * g + rough) * z)) return 0;
-    return zbufrandi_absf(1.0f / z_min + 0.5f * ((qx + px) * dx + (qy + py) * dy) - 1.0f / z) <= 1.5f * g + rough;
+    const float z = zbufrandi_key_depth(c->keys[q]), z_min = zbufrandi_key_depth(c->keys[p]); /* all in units of 1/z */
+    const float qx = c->slope_x[q] * z, qy = c->slope_y[q] * z, px = c->slope_x[p] * z, py = c->slope_y[p] * z;
+    const float gq = sqrtf(qx * qx + qy * qy), gp = sqrtf(px * px + py * py), g = gq < gp ? gq : gp;
+    const float rise = 0.5f * ((qx + px) * dx + (qy + py) * dy);
+    if (!(g < 1e9f && (z - z_min) / z <= c->o->tolerance_slope * (float)c->o->block * g + 0.005f)) return 0;
+    return zbufrandi_absf(z / z_min + rise - 1.0f) <= 1.5f * g + 0.005f; /* NaN and infinite slopes do not fit */
 }
 
 /* Does the sample at q count as seen, when `nearest` is the nearest one around? */
@@ -11250,13 +11253,16 @@ static void zbufrandi_squares_task(void *ctx, uint32_t task) {
 /* The rows y0..y1-1 and columns x0..x1-1 are a cell: keep what is seen of it, or, where squares left nothing of it, its
    nearest sample. (A surface that recedes has a nearer sample in every square: all of it would go.) */
 static void zbufrandi_cell(const zbufrandi_seen *c, uint32_t x0, uint32_t x1, uint32_t y0, uint32_t y1) {
-    uint64_t nearest = ZBUFRANDI_EMPTY;
+    uint64_t least = ZBUFRANDI_EMPTY, nearest = ZBUFRANDI_EMPTY;
     uint32_t x, y, left = 0;
     size_t q;
     for (y = y0; y < y1; y++) {
         q = (size_t)y * c->width + x0;
         for (x = x0; x < x1; x++, q++) {
-            if (c->keys[q] >> 32 < nearest >> 32) nearest = (c->keys[q] & 0xffffffff00000000u) | q;
+            if (c->keys[q] < least) {
+                least = c->keys[q];
+                nearest = (least & 0xffffffff00000000u) | q;
+            }
             if (c->squares && c->out[q] != ZBUFRANDI_EMPTY) left = 1;
         }
     }
@@ -12117,8 +12123,7 @@ static zbufrand_result zbufrandi_reconstruct_check(const zbufrand_env *env, zbuf
         o->tolerance_slope != o->tolerance_slope) {
         return zbufrandi_fail(env->error, ZBUFRAND_ERR_INVALID_ARG, 0, "a tolerance is negative or not a number");
     }
-    if (o->tolerance_slope < 0.0f) o->tolerance_slope = 0.0f;
-    else if (o->tolerance + o->tolerance_projected + o->tolerance_slope == 0.0f) o->tolerance_slope = 1.5f;
+    if (o->tolerance + o->tolerance_projected + zbufrandi_absf(o->tolerance_slope) == 0.0f) o->tolerance_slope = 1.5f;
     return ZBUFRAND_OK;
 }
 
@@ -12359,7 +12364,7 @@ static void zbufrandi_recon_occlusion(zbufrandi_recon *r) {
         }
         zbufrandi_recon_for(r, zbufrandi_squares_task, &s, pieces);
         s.squares = 1;
-        if (d > 1 && r->o.tolerance_slope > 0.0f) zbufrandi_recon_for(r, zbufrandi_cells_task, &s, cells);
+        if (d > 1 && r->o.tolerance_slope >= 0.0f) zbufrandi_recon_for(r, zbufrandi_cells_task, &s, cells);
     }
     r->result = r->pass[1];
 }
@@ -15978,17 +15983,14 @@ static double zbufrandi_pixel_window(const zbufrand_reconstruct *o) {
 }
 
 /* Probability that a pixel shows what is hidden, before rays. A hole without the samples of what hides it is a pixel to
-   fills that mix; regions grow into it from its whole border, so that up to 1 + n pixels are wrong where n samples are
-   expected, n the samples of a square: as many as measured before a wall of pixels of a rasteriser. Holes of cells lie
-   in a grid and are half as many. density: per pixel */
+   fills that mix; regions grow into it from its whole border, so that up to 1 + 1.2 n pixels are wrong where n samples
+   are expected, n the samples of a block: as many as measured before a wall of pixels of a rasteriser, in pictures of
+   one pixel. density: per pixel */
 static double zbufrandi_pixel_wrong(const zbufrand_reconstruct *o, double density) {
     const double block = (double)o->block, q = zbufrandi_block_empty(density, zbufrandi_pixel_window(o));
-    double edge, n;
+    const double n = density * block * block;
     if (o->block == 1 || o->occlusion == ZBUFRAND_OCCLUSION_BLOCKS || !zbufrandi_recon_regions(o)) return q;
-    edge = o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? block : 2.0 * (double)(o->block / 2) + 1.0;
-    n = density * edge * edge;
-    return zbufrandi_max(q, zbufrandi_block_empty(n, 1.0) * (1.0 + n) *
-                                (o->occlusion == ZBUFRAND_OCCLUSION_CELLS ? 0.5 : 1.0));
+    return zbufrandi_max(q, zbufrandi_block_empty(n, 1.0) * (1.0 + 1.2 * n));
 }
 
 /* Density that keeps that below the tolerance, at least 2 samples in what makes a pixel right. */

@@ -505,7 +505,7 @@ static void survivors(const list *l, const zbufrand_canvas_desc *d, uint32_t gua
         if (o->drop_back && (s->flags & ZBUFRAND_SAMPLE_BACK)) ok = 0;
         kept[who[i]] = (uint8_t)ok;
     }
-    for (i = 0; i < m && d->reconstruct.tolerance_slope > 0.0f; i++) { /* the nearest of its cell, of which nothing is left? */
+    for (i = 0; i < m && d->reconstruct.tolerance_slope >= 0.0f && b > 1; i++) { /* the nearest of its cell, of which nothing is left? */
         int first = 1, left = 0, unsure = 0;
         for (j = 0; j < m; j++) {
             if (floor((double)px[i] / b) != floor((double)px[j] / b) || floor((double)py[i] / b) != floor((double)py[j] / b)) continue;
