@@ -2105,8 +2105,8 @@ TETCAST_DEF uint32_t tetcast_foam_cell(const tetcast_foam *foam, uint32_t cell, 
                                        uint32_t room);
 
 /* The cell that has a place in it: that of the nearest site, up to 1e-6 of its distance and 2e-7 of the box; of a place
-   outside of the box that of the nearest place in it. start: a cell to begin with, such as that of a place nearby; any number.
-   TETCAST_NONE for a position that is no number, or beyond 1e100. O(cells on the way). */
+   outside of the box that of the nearest place in it. start: a cell to begin with, such as that of a place nearby; any
+   number. TETCAST_NONE for a position that is no number, or beyond 1e100. O(cells on the way). */
 TETCAST_DEF uint32_t tetcast_foam_find(const tetcast_foam *foam, const double position[3], uint32_t start);
 
 /* Draw. desc: as for tetcast_render; method, smooth_normals, traverse_only and no_leaping do not count, and the camera
@@ -18787,7 +18787,8 @@ static void tetcasti_plane_scale(tetcast_clip_plane *p) {
     for (;;) {
         const double x = tetcasti_max(tetcasti_abs(p->normal[0]), tetcasti_abs(p->normal[1]));
         const double most = tetcasti_max(x, tetcasti_abs(p->normal[2]));
-        const double by = most > more ? less : most > 0.0 && most < less && tetcasti_abs(p->offset) < 1e280 ? more : 1.0;
+        const double by = most > more ? less
+                        : most > 0.0 && most < less && tetcasti_abs(p->offset) < 1e280 ? more : 1.0;
         uint32_t a;
         if (by == 1.0) return;
         for (a = 0; a < 3; a++) p->normal[a] *= by;
