@@ -2870,7 +2870,7 @@ static int after_moves(const moves *m, moved_state *want, voxrt_result *stopped)
     voxrt_gi_desc d;
     voxrt_gi *gi = NULL, *g;
     voxrt_gi_object o[2];
-    voxrt_gi_light light = point_light(0, 3, 0, 9e-12); /* what glows is brighter by far */
+    voxrt_gi_light light = point_light(0, 3, 0, 9e-12f); /* what glows is brighter by far */
     uint32_t k, l, place, same = 1;
     const int fill = m->how == 0;
     memset(&s, 0, sizeof s);

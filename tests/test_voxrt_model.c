@@ -608,9 +608,9 @@ TEST(beyond_the_resolution) {
 /* The mesh that a tree was made of finds the tree's voxels again, also those of faces on the far side of its box and of triangles
    that leave it; and voxels beyond are those of a whole grid. Without memory nothing changes. */
 TEST(edits_by_the_same_mesh) {
-    static const float corner[8][3] = {{0, 0, 0}, {100, 0, 0}, {0, 100, 0}, {100, 100, 0}, {0, 0, 100}, {100, 0, 100}, {0, 100, 100}, {100, 100, 100}};
+    static const float corner[8][3] = {{0, 0, 0}, {20, 0, 0}, {0, 20, 0}, {20, 20, 0}, {0, 0, 20}, {20, 0, 20}, {0, 20, 20}, {20, 20, 20}};
     static const uint32_t cube[36] = {0, 2, 3, 0, 3, 1, 4, 5, 7, 4, 7, 6, 0, 1, 5, 0, 5, 4, 2, 6, 7, 2, 7, 3, 0, 4, 6, 0, 6, 2, 1, 3, 7, 1, 7, 5};
-    static const float cut[9] = {-7.3f, 11.1f, 20.7f, 119.9f, 31.3f, 44.2f, 60.1f, 117.7f, 90.3f};
+    static const float cut[9] = {-1.5f, 2.2f, 4.1f, 24.9f, 6.3f, 8.8f, 12.1f, 23.7f, 18.3f};
     uint32_t way;
     for (way = 0; way < 4; way++) { /* the cube, the triangle; with planes */
         test_alloc ta;
@@ -633,12 +633,12 @@ TEST(edits_by_the_same_mesh) {
         mesh.vertex_count = way % 2 ? 3 : 8;
         mesh.indices = way % 2 ? NULL : cube;
         mesh.triangle_count = way % 2 ? 1 : 12;
-        bd.resolution = 100;
-        bd.box_size = 100.0;
+        bd.resolution = 20;
+        bd.box_size = 20.0;
         bd.planes = way / 2;
         REQUIRE(voxrt_tree_build(&bd, &mesh, NULL, &t) == VOXRT_OK);
-        bd.resolution = 128;
-        bd.box_size = 128.0;
+        bd.resolution = 32;
+        bd.box_size = 32.0;
         env.allocator.alloc_fn = test_alloc_fn;
         env.allocator.free_fn = test_free_fn;
         env.allocator.user = &ta;
@@ -658,15 +658,15 @@ TEST(edits_by_the_same_mesh) {
         ta.fail_at = -1;
         CHECK(k > 10);
         voxrt_model_get_info(m, &info);
-        for (z = 0; z < 128; z++)
-            for (y = 0; y < 128; y++)
-                for (x = 0; x < 128; x++) {
-                    const int is = voxrt_model_get(m, 7, x, y, z, NULL), out = x >= 100 || y >= 100 || z >= 100;
-                    if (is != (out && way % 2 ? voxrt_model_get(whole, 7, x, y, z, NULL) : voxrt_model_get(copy, 7, x, y, z, NULL)))
+        for (z = 0; z < 32; z++)
+            for (y = 0; y < 32; y++)
+                for (x = 0; x < 32; x++) {
+                    const int is = voxrt_model_get(m, 5, x, y, z, NULL), out = x >= 20 || y >= 20 || z >= 20;
+                    if (is != (out && way % 2 ? voxrt_model_get(whole, 5, x, y, z, NULL) : voxrt_model_get(copy, 5, x, y, z, NULL)))
                         CHECK_MSG(0, "way %u: %u %u %u", way, x, y, z);
                     beyond += (uint32_t)(is && out);
                 }
-        CHECK(way % 2 ? beyond > 100 : beyond == 0);
+        CHECK(way % 2 ? beyond > 10 : beyond == 0);
         CHECK_EQ_U64(info.voxel_count, before.voxel_count + beyond);
         d.op = VOXRT_EDIT_CLEAR;
         CHECK(voxrt_model_mesh(m, &d, &mesh, &stats) == VOXRT_OK);
