@@ -1865,7 +1865,8 @@ typedef struct tetcast_rbf_fit_desc {
     uint32_t _end_zero;
 } tetcast_rbf_fit_desc;
 
-/* Errors are shares of the range - of the value, where there is only one - measured with the model as it is stored. */
+/* Errors are shares of the range, measured with the model as it is stored. Where the range is 1e-30 or less, and so 0,
+   they are shares of the value, or of 1 if that is more. */
 typedef struct tetcast_rbf_report {
     uint64_t points;             /* used; middles of cells as well */
     uint64_t rejected;           /* with a number that is none, or not below 1e30 */
@@ -24812,9 +24813,8 @@ static tetcast_result tetcasti_fit_run(tetcasti_fit *t, const tetcast_rbf_fit_de
     if (r != TETCAST_OK) return r;
     if (t->range == 0.0) { /* one value everywhere */
         if (!tetcasti_fit_base(t, none)) return TETCAST_ERR_NO_MEMORY;
-        t->range = 0.0; /* errors are shares of the value, then */
+        t->range = 1.0; /* errors are shares of the value, then, or of 1 */
         for (c = 0; c < t->n; c++) t->range = tetcasti_max(t->range, tetcasti_abs((double)m->offset[c]));
-        if (!(t->range > 0.0)) t->range = 1.0;
         r = tetcasti_fit_model(t);
         if (r == TETCAST_OK) tetcasti_fit_measure(t, report);
     } else if (!((double)t->tolerance > 1e-7 * t->range)) {

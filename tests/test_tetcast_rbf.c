@@ -1344,7 +1344,7 @@ TEST(constants_and_tiny_ranges) {
         for (i = 0; i < 216; i++) value[i] = constant[k];
         REQUIRE(tetcast_rbf_fit(&q, &p, &report, &m) == TETCAST_OK);
         CHECK(tetcast_rbf_eval(NULL, m, at, 1, &v, NULL) == TETCAST_OK);
-        CHECK_MSG(report.max_error < 1.2e-7 && fabs((double)v / constant[k] - 1.0) <= report.max_error * 1.001, "%g: told %g",
+        CHECK_MSG(report.max_error < 1.2e-7 && fabs((double)v - constant[k]) / fmax(1.0, fabs(constant[k])) <= report.max_error * 1.001, "%g: told %g",
                   constant[k], report.max_error);
         tetcast_rbf_destroy(m);
     }
