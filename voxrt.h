@@ -1306,7 +1306,7 @@ VOXRT_DEF voxrt_result voxrt_paged_build_file(const voxrt_build_desc *desc, cons
 
 /* Draw.
    desc    in, NULL: all defaults
-   tree    in, NULL: only desc->geometry, without which that is INVALID_ARG
+   tree    in, NULL: only desc->geometry. Both NULL: INVALID_ARG; a list of 0 is a picture of the background
    image   buffers in and out; with more than one sample depth, normal and hit are those of sample 0, and they are
            left alone when first_sample > 0, and by views of heat. A width or height of 0 is allowed
    stats   may be NULL; counting costs a little

@@ -11192,13 +11192,18 @@ typedef struct zbufrandi_seen {
 
 enum { ZBUFRANDI_SEEN_PIECE = 4096 }; /* pixels of a task */
 
-/* Pixels q..stop-1 with their places instead of the hashes of their samples: the least of them tells where it is. */
+/* The first pixel of a task, the end of the one before it. */
+static size_t zbufrandi_seen_piece(const zbufrandi_seen *c, uint32_t task) {
+    const size_t pixels = (size_t)c->width * c->height, q = (size_t)task * ZBUFRANDI_SEEN_PIECE;
+    return q < pixels ? q : pixels;
+}
+
+/* A task's pixels with their places instead of the hashes of their samples: the least of them tells where it is. */
 static void zbufrandi_places_task(void *ctx, uint32_t task) {
     const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
-    const size_t pixels = (size_t)c->width * c->height;
-    size_t q = (size_t)task * ZBUFRANDI_SEEN_PIECE;
-    const size_t stop = pixels - q < ZBUFRANDI_SEEN_PIECE ? pixels : q + ZBUFRANDI_SEEN_PIECE;
-    for (; q < stop; q++) {
+    const size_t stop = zbufrandi_seen_piece(c, task + 1);
+    size_t q;
+    for (q = zbufrandi_seen_piece(c, task); q < stop; q++) {
         const uint64_t key = c->keys[q];
         c->out[q] = key == ZBUFRANDI_EMPTY ? key : (key & 0xffffffff00000000u) | q;
     }
@@ -11241,10 +11246,9 @@ static int zbufrandi_seen_keep(const zbufrandi_seen *c, size_t q, uint64_t neare
 
 static void zbufrandi_squares_task(void *ctx, uint32_t task) {
     const zbufrandi_seen *c = (const zbufrandi_seen *)ctx;
-    const size_t pixels = (size_t)c->width * c->height;
-    size_t q = (size_t)task * ZBUFRANDI_SEEN_PIECE;
-    const size_t stop = pixels - q < ZBUFRANDI_SEEN_PIECE ? pixels : q + ZBUFRANDI_SEEN_PIECE;
-    for (; q < stop; q++) {
+    const size_t stop = zbufrandi_seen_piece(c, task + 1);
+    size_t q;
+    for (q = zbufrandi_seen_piece(c, task); q < stop; q++) {
         const uint64_t key = c->keys[q];
         c->out[q] = key != ZBUFRANDI_EMPTY && zbufrandi_seen_keep(c, q, c->nearest[q]) ? key : ZBUFRANDI_EMPTY;
     }
