@@ -54,7 +54,7 @@ static int parse(int argc, char **argv, options *o) {
     t[n++] = sup_opt_int("base", &o->base, 2, 512, "N", "fit: nodes of the coarse grid along each side (by trial)");
     t[n++] = sup_opt_flag("between", &o->between, "fit: keep the error in the middles of cells as well");
     t[n++] = sup_opt_flag("round", &o->round, "fit: no ellipsoids");
-    t[n++] = sup_opt_choice("kernel", &o->kernel, "gauss|cut|wendland2|wendland4|power", "fit: the kernel");
+    t[n++] = sup_opt_choice("kernel", &o->kernel, "gauss|cut|wendland2|wendland4|power", "fit: the kernel (gauss); cut, the thesis' own, jumps: refused");
     t[n++] = sup_opt_real("cut", &o->cut, 1.0, 8.0, "K", "fit: where Gaussians end, in widths (3.5)");
     t[n++] = sup_opt_int("sweeps", &o->sweeps, 0, 100, "N", "fit: how often functions are fitted again (3)");
     t[n++] = sup_opt_text("start", &o->first, "FILE.rbf", "fit: begin with the functions of this one, the step before in a series");
