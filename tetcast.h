@@ -22614,7 +22614,7 @@ static double tetcasti_middle_eigenvalue(const double s[6]) {
     const double p2 = (a * a + b * b + c * c + 2.0 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5])) / 6.0, p = sqrt(p2);
     double r, x, y, lo = 0.5, hi = 1.0;
     uint32_t i;
-    if (!(p > 1e-300) || !(p2 > 1e-28 * q * q)) return q;
+    if (!(p > 1e-100) || !(p2 > 1e-28 * q * q)) return q; /* below, p^3 is no number to divide by */
     r = (a * (b * c - s[5] * s[5]) - s[3] * (s[3] * c - s[5] * s[4]) + s[4] * (s[3] * s[5] - b * s[4]))
         / (p * p2 * 2.0);
     r = r < -1.0 ? -1.0 : r > 1.0 ? 1.0 : r;

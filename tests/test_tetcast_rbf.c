@@ -1729,6 +1729,13 @@ TEST(flows) {
         CHECK(f.speed - f.speed == 0.0f && f.lambda2 - f.lambda2 == 0.0f && f.helicity - f.helicity == 0.0f);
         for (i = 0; i < 3; i++) CHECK(f.vorticity[i] - f.vorticity[i] == 0.0f);
     }
+    for (t = 0; t < 9 * 9 * 120; t++) { /* one large number and one of any smaller size: what is left of squares underflows */
+        memset(j, 0, sizeof j);
+        j[t % 9] = 7.34686772e-41 * exp2(t / 81);
+        j[t / 9 % 9] = -2.42584116e+36;
+        features(j, &f);
+        CHECK(f.lambda2 - f.lambda2 == 0.0f);
+    }
     for (t = 0; t < 2000; t++) { /* the characteristic polynomial vanishes there and one root lies on each side; scales */
         double m[9], q, a, b, c, x, value, slope;
         int k, l;
