@@ -861,9 +861,10 @@ typedef struct tetcast_camera {
     float ortho_height;   /* > 0: parallel rays instead; height of the picture in world units; never < 0 */
 } tetcast_camera;
 
-/* How a picture is made. Both show the same: the same cells on every ray, the same integrals; depths and values differ
-   by rounding. Walking costs for each cell on each ray, projection for each cell and, less, for each pixel of it; but
-   pixels with isosurfaces, values per cell, masked cells or a depth are four times as slow in projection. */
+/* How a picture is made. Both show the same: the same cells on every ray (from eyes up to 10^12 sizes of the mesh
+   away), the same integrals; depths and values differ by rounding. Walking costs for each cell on each ray, projection
+   for each cell and, less, for each pixel of it; but pixels with isosurfaces, values per cell, masked cells or a depth
+   are four times as slow in projection. */
 typedef enum tetcast_method {
     TETCAST_METHOD_AUTO = 0,     /* what is faster for this many pixels per cell, as a rule */
     TETCAST_METHOD_WALK = 1,     /* each ray from cell to cell */
@@ -1549,6 +1550,7 @@ typedef struct tetcast_shade_desc {
 /* Walk through the tetrahedra as tetcast_render does, ray by ray, for what that has no place for: functions of the
    caller and clipping. A packet holds up to eight segments of one ray, in their order; the gradient is that of the
    tetrahedron. optics may be NULL where there is a shader. Gradients and isosurfaces need the tets of the mesh.
+   Distances from the eye are doubles: from 10^12 sizes of the mesh away lengths are off by 10^-4 of it.
    stats: rays, hit_rays, steps, ended, isa.
    The same bits for any number of threads. Errors: as tetcast_render (INVALID_ARG also: a part beyond its frame, a
    shader without shade_fn or with a channel that is NULL); what a shader's prepare_fn returns. Cost: ten times that of
@@ -1901,8 +1903,8 @@ typedef struct tetcast_rbf_report {
    still; the greedy steps add what is missing.
    The same model for any number of threads and any isa. Values are kept as floats; by how much these differ from the
    data (F64, 32-bit integers) is part of the errors. Errors: INVALID_ARG, EMPTY (no usable point), RANGE
-   (max_functions is not enough, or max_error is less than floats keep), UNINIT_DESC, NO_MEMORY, CANCELLED. Cost: in
-   proportion to the points in the reach of each function, once and for each sweep again.
+   (max_functions is not enough, or max_error or mean_error is less than floats keep), UNINIT_DESC, NO_MEMORY,
+   CANCELLED. Cost: in proportion to the points in the reach of each function, once and for each sweep again.
    Source: the thesis' loop of centres, widths, weights and error; the steps are ours. */
 TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, const tetcast_rbf_points *points,
                                            tetcast_rbf_report *report, tetcast_rbf **out);
@@ -2824,6 +2826,9 @@ static TETCASTI_UNUSED uint32_t tetcasti_oct_encode(const float n[3]) {
 #define TETCASTI_BLUR 512.0         /* positions seen along a ray are off by less than this, 2^-21 of the mesh */
 #define TETCASTI_CLUSTER_LOG 7      /* cells of a cluster: 128 that follow each other */
 #define TETCASTI_INF ((float)INFINITY)
+
+/* As a float that is a number: the end of their range beyond it. */
+TETCASTI_UNUSED static float tetcasti_narrow(double x) { return x > 3e38 ? 3e38f : x < -3e38 ? -3e38f : (float)x; }
 
 TETCASTI_UNUSED static void tetcasti_store_f64(uint8_t *p, double v) {
     uint64_t u;
@@ -13244,8 +13249,9 @@ static void tetcasti_batch_close(tetcasti_batch *b) {
     tetcasti_free(b->mem, b);
 }
 
-/* Put a ray, in local coordinates, into place i. near and far are local distances from o. */
-static void tetcasti_batch_put(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t i, const double o[3],
+/* Put a ray, in local coordinates, into place i. near and far are local distances from o. Returns how far from o the
+   ray's own origin is. */
+static double tetcasti_batch_put(const tetcasti_scene *scene, tetcasti_batch *b, uint32_t i, const double o[3],
                                const double d[3], double near_end, double far_end) {
     tetcasti_ray r;
     double offset = 0.0;
@@ -13263,6 +13269,7 @@ static void tetcasti_batch_put(const tetcasti_scene *scene, tetcasti_batch *b, u
     b->cursor[i] = (float)(near_end - offset);
     b->last[i] = (float)(far_end - offset);
     if (!(b->last[i] > b->cursor[i])) b->group[i] = TETCASTI_NO_RAY; /* it ends before it begins */
+    return offset;
 }
 
 /* Nothing seen yet, on any ray. */
@@ -13377,7 +13384,7 @@ static void tetcasti_locate(const tetcasti_scene *scene, tetcasti_batch *b, cons
         if (!(p[a] >= (double)box->lo[a] && p[a] <= (double)box->hi[a])) return;
     b->count = 1;
     b->hit_count = 0;
-    tetcasti_batch_put(scene, b, 0, p, direction, 0.0, (double)TETCASTI_INF);
+    (void)tetcasti_batch_put(scene, b, 0, p, direction, 0.0, (double)TETCASTI_INF);
     tetcasti_line_hits(scene, b, 0);
     tetcasti_batch_sort(b);
     for (k = 0; k < b->hit_start[1] && b->sorted[k].at <= b->cursor[0]; k++) {
@@ -13496,7 +13503,7 @@ TETCASTI_INLINE void tetcasti_tile_ray(const tetcasti_scene *scene, const tetcas
         d[a] = f->parallel ? f->forward[a] : f->forward[a] + shift;
     }
     way = sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2]);
-    tetcasti_batch_put(scene, b, y * TETCASTI_TILE + x, o, d, t->near_end * way, t->far_end * way);
+    (void)tetcasti_batch_put(scene, b, y * TETCASTI_TILE + x, o, d, t->near_end * way, t->far_end * way);
 }
 
 /* The group of all rays of a tile, or NO_RAY. Directions are affine in the pixel, so it is that of the corners when it
@@ -13902,7 +13909,7 @@ static void tetcasti_task_cast(void *ctx, uint32_t strand) {
         for (i = 0; i < b->count; i++) {
             double o[3], d[3], ends[2];
             if (!tetcasti_ray_local(c->scene.mesh, &c->rays[first + i], o, d, ends)) d[0] = d[1] = d[2] = 0.0;
-            tetcasti_batch_put(&c->scene, b, i, o, d, ends[0], ends[1]);
+            (void)tetcasti_batch_put(&c->scene, b, i, o, d, ends[0], ends[1]);
             tetcasti_line_hits(&c->scene, b, i);
         }
         tetcasti_batch_run(&c->scene, b);
@@ -13962,14 +13969,14 @@ static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *
                                    int (*fn)(void *user, const tetcast_crossing *crossing), void *user) {
     const tetcast_mesh *mesh = scene->mesh;
     tetcasti_ray r;
-    double unit;
+    double unit, offset;
     uint64_t n = 0;
     uint32_t k;
     float cursor, last;
     int over = 0;
     b->count = 1;
     tetcasti_batch_begin(scene, b);
-    tetcasti_batch_put(scene, b, 0, o, dir, ends[0], ends[1]);
+    offset = tetcasti_batch_put(scene, b, 0, o, dir, ends[0], ends[1]); /* b has a float, too coarse for far eyes */
     tetcasti_line_hits(scene, b, 0);
     tetcasti_batch_sort(b);
     if (b->failed) return 0;
@@ -13995,8 +14002,8 @@ static uint64_t tetcasti_probe_run(const tetcasti_scene *scene, tetcasti_batch *
                 if (w.at_face < cursor) x.front += (s - w.s_face) * ((cursor - w.at_face) / (at - w.at_face));
                 if (at > last) x.back = w.s_face + (s - w.s_face) * ((last - w.at_face) / (at - w.at_face));
                 if (mesh->cell_value != NULL) x.front = x.back = mesh->cell_value[x.cell];
-                x.t_front = ((double)b->offset[0] + (double)cursor) * unit;
-                x.t_back = ((double)b->offset[0] + (double)end) * unit;
+                x.t_front = (offset + (double)cursor) * unit;
+                x.t_back = (offset + (double)end) * unit;
                 cursor = end;
                 n++;
                 over = fn(user, &x) != 0 || at > last;
@@ -14993,8 +15000,7 @@ typedef struct tetcasti_plane_map {
 } tetcasti_plane_map;
 
 static float tetcasti_plane_depth(double d, double least, double most) {
-    d = d > least ? d < most ? d : most : least;
-    return d > -3e38 ? d < 3e38 ? (float)d : 3e38f : -3e38f;
+    return tetcasti_narrow(d > least ? d < most ? d : most : least);
 }
 
 /* A section is a polygon with a linear function: each of its triangles is painted like a cell, one dimension lower.
@@ -15333,7 +15339,7 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
             x = (double)(i % width) + 0.5 - 0.5 * (double)width;
             y = (double)(i / width) + 0.5 - 0.5 * (double)height;
             x = (m.scale / mesh->unit - slope[0] * x - slope[1] * y) / slope[2] * mesh->unit;
-            depth[i] = tetcasti_plane_depth(x, -1e300, 1e300);
+            depth[i] = tetcasti_narrow(x);
         }
     }
     tetcasti_free(&mem, heights);
@@ -19117,6 +19123,7 @@ typedef struct tetcasti_shade_frame {
     tetcasti_frame frame;
     tetcasti_encoder encoder;
     tetcasti_mem mem;
+    double beyond;                   /* as scene.beyond, which is a float */
     uint32_t tiles_x, tiles, next, done, failed, cancelled;
     uint32_t tally[4][2];
 } tetcasti_shade_frame;
@@ -19129,7 +19136,8 @@ typedef struct tetcasti_shade_ray {
     double last;
     uint32_t at, steps, n, ended;
     uint32_t cell[8];
-    float color[3], t, depth, length;
+    double middle[8];                /* of the packet's segments, distances */
+    float color[3], t, depth, length; /* lengths are those of a mesh that floats have room for, as in tetcasti_scene */
     tetcasti_ray_sum sum;
     tetcast_packet packet;
 } tetcasti_shade_ray;
@@ -19211,7 +19219,7 @@ static void tetcasti_shade_flush(tetcasti_shade_ray *r) {
         for (a = 0; a < 3; a++) {
             p->gradient[a][i] = g[a];
             p->direction[a][i] = (float)r->ray.dir[a];
-            p->position[a][i] = (float)(r->ray.org[a] + r->ray.dir[a] * (double)(p->depth[i] + 0.5f * p->length[i]));
+            p->position[a][i] = tetcasti_narrow(r->ray.org[a] + r->ray.dir[a] * r->middle[i]);
         }
     }
     tetcasti_shader_channels(s, p);
@@ -19273,19 +19281,20 @@ static int tetcasti_shade_crossing(void *user, const tetcast_crossing *x) {
         const float rise = x->back - x->front;
         const float front = from > x->t_front ? x->front + rise * (float)((from - x->t_front) / way) : x->front;
         const float back = to < x->t_back ? x->front + rise * (float)((to - x->t_front) / way) : x->back;
-        const float length = (float)(to - from);
+        const float length = (float)((to - from) / r->c->beyond), depth = tetcasti_narrow(from / r->c->beyond);
         if (!(to > from) && !surface) continue;
         r->length += length;
         if (hidden != NULL && tetcasti_bit(hidden, x->cell)) {
             if (o != NULL) tetcasti_ray_gap(o, &r->sum);
         } else if (o != NULL) {
             if (from > r->last) tetcasti_ray_gap(o, &r->sum);
-            tetcasti_shade_optics(r, x->cell, front, back, length, (float)from);
+            tetcasti_shade_optics(r, x->cell, front, back, length, depth);
         } else {
             r->packet.front[r->n] = front;
             r->packet.back[r->n] = back;
             r->packet.length[r->n] = length;
-            r->packet.depth[r->n] = (float)from;
+            r->packet.depth[r->n] = depth;
+            r->middle[r->n] = 0.5 * (from + to);
             r->cell[r->n++] = x->cell;
             if (r->n == 8) tetcasti_shade_flush(r);
         }
@@ -19361,8 +19370,9 @@ static void tetcasti_task_shade(void *ctx, uint32_t strand) {
                 }
                 if (r.depth < TETCASTI_INF)
                     r.depth *= (float)(r.ray.dir[0] * c->frame.forward[0] + r.ray.dir[1] * c->frame.forward[1] +
-                                       r.ray.dir[2] * c->frame.forward[2]);
-                tetcasti_pixel_put(m, &c->encoder, c->desc->background, x, y, rgba, r.depth, r.length, r.steps);
+                                       r.ray.dir[2] * c->frame.forward[2]) * c->scene.beyond;
+                tetcasti_pixel_put(m, &c->encoder, c->desc->background, x, y, rgba, r.depth,
+                                   r.length * c->scene.beyond, r.steps);
                 n[0]++;
                 n[1] += r.steps != 0;
                 n[2] += r.steps;
@@ -19426,6 +19436,7 @@ TETCAST_DEF tetcast_result tetcast_render_shaded(const tetcast_shade_desc *desc,
     if (!tetcasti_tiles_of(image, &c.tiles_x, &c.tiles))
         return tetcasti_fail(d.env.error, TETCAST_ERR_RANGE, image->width, "shade: the picture is too large");
     tetcasti_mesh_box(mesh, lo, hi);
+    c.beyond = tetcasti_max(mesh->unit / TETCASTI_UNIT_END, 1.0);
     r = tetcasti_camera_open(&d.camera, lo, hi, width, height, &c.frame);
     if (r == TETCAST_OK) r = tetcasti_desc_open(NULL, &none, &unused);
     if (r == TETCAST_OK) r = tetcasti_scene_open(&none, mesh, NULL, &c.scene);
@@ -22635,10 +22646,6 @@ static double tetcasti_middle_eigenvalue(const double s[6]) {
     return q - p * x + p * sqrt(3.0 * (y > 0.0 ? y : 0.0));
 }
 
-static float tetcasti_flow_number(double x) { /* sums of the largest floats stay numbers */
-    return x > 3e38 ? 3e38f : x < -3e38 ? -3e38f : (float)x;
-}
-
 TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jacobian[9], tetcast_flow *out) {
     double j[9], s[6], w[3], m[6], most = 0.0, scale;
     uint32_t i, k;
@@ -22649,9 +22656,9 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
         most = tetcasti_max(most, tetcasti_abs(j[i]));
     }
     scale = most > 0.0 ? most : 1.0; /* lambda2 goes with its square */
-    out->vorticity[0] = tetcasti_flow_number(j[7] - j[5]);
-    out->vorticity[1] = tetcasti_flow_number(j[2] - j[6]);
-    out->vorticity[2] = tetcasti_flow_number(j[3] - j[1]);
+    out->vorticity[0] = tetcasti_narrow(j[7] - j[5]);
+    out->vorticity[1] = tetcasti_narrow(j[2] - j[6]);
+    out->vorticity[2] = tetcasti_narrow(j[3] - j[1]);
     for (i = 0; i < 9; i++) j[i] /= scale;
     for (i = 0; i < 3; i++) s[i] = j[4 * i];
     s[3] = 0.5 * (j[1] + j[3]);
@@ -22668,13 +22675,13 @@ TETCAST_DEF void tetcast_flow_features(const float velocity[3], const float jaco
     m[4] = s[0] * s[4] + s[3] * s[5] + s[4] * s[2] + w[0] * w[2];
     m[5] = s[3] * s[4] + s[1] * s[5] + s[5] * s[2] + w[1] * w[2];
     scale *= scale * tetcasti_middle_eigenvalue(m);
-    out->lambda2 = tetcasti_flow_number(scale);
+    out->lambda2 = tetcasti_narrow(scale);
     scale = 0.0;
     for (k = 0; k < 3; k++) scale += (double)velocity[k] * (double)velocity[k];
-    out->speed = tetcasti_flow_number(sqrt(scale));
+    out->speed = tetcasti_narrow(sqrt(scale));
     scale = 0.0;
     for (k = 0; k < 3; k++) scale += (double)velocity[k] * (double)out->vorticity[k];
-    out->helicity = tetcasti_flow_number(scale);
+    out->helicity = tetcasti_narrow(scale);
 }
 /* ---------------------------------------------------------------------------
    rbf_fit: points -> coarse grid and functions, with a guaranteed error.        // >>rbf_fit
@@ -23611,6 +23618,9 @@ static void tetcasti_fit_precision(tetcasti_fit *t, int grid) {
     m->bits.width = c;
 }
 
+/* The smallest step of weights that files may have, in units of the data. */
+static double tetcasti_fit_least_step(const tetcasti_fit *t) { return tetcasti_max(1e-36, 1.01e-39 / t->unit); }
+
 /* Sizes of everything, arrays, bins, blocks. */
 static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, const tetcast_rbf_points *in) {
     tetcast_rbf *m = t->m;
@@ -23671,7 +23681,7 @@ static tetcast_result tetcasti_fit_open(tetcasti_fit *t, const tetcast_rbf_fit_d
     if (!tetcasti_fit_sort(t, in)) return TETCAST_ERR_NO_MEMORY;
     m->bits.weight = m->bits.node = 24;
     m->bits.weight_step = m->bits.node_step = (float)((t->range * (double)d->max_error - t->rounding) / 8.0);
-    least = tetcasti_max(1e-36, 1.01e-39 / t->unit); /* what files may have, in units of the data */
+    least = tetcasti_fit_least_step(t);
     if (!((double)m->bits.weight_step > least)) m->bits.weight_step = m->bits.node_step = (float)least;
     tetcasti_fit_precision(t, in->positions.data == NULL);
     /* data that cannot be met ends the loop */
@@ -24683,6 +24693,15 @@ static int tetcasti_fit_compare(tetcasti_fit *t, const tetcast_rbf_points *in, d
     return 1;
 }
 
+/* Steps of weights go down with the tolerance, by halves: what there is stays a multiple, and has bits left for it. */
+static void tetcasti_fit_refine(tetcasti_fit *t, double tolerance) {
+    tetcasti_rbf_bits *b = &t->m->bits;
+    if (4.0 * (double)b->weight_step < tolerance || b->weight >= 24 || b->node >= 24 ||
+        !(0.5 * tetcasti_min((double)b->weight_step, (double)b->node_step) > tetcasti_fit_least_step(t))) return;
+    b->weight_step *= 0.5f;
+    b->node_step *= 0.5f;
+}
+
 /* Greedy and sweeps until every error is in the tolerance; then the model, measured. */
 static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_desc *d, tetcast_rbf_report *report) {
     const uint32_t sweeps = t->few || d->sweeps == 0xffffffffu ? 0 : d->sweeps != 0 ? d->sweeps : 3;
@@ -24735,6 +24754,7 @@ static tetcast_result tetcasti_fit_loop(tetcasti_fit *t, const tetcast_rbf_fit_d
         if (report->max_error <= (double)d->max_error || round > 2) { /* or a unit of a float is missing */
             tolerance *= 0.8;
             t->tolerance = (float)tolerance;
+            tetcasti_fit_refine(t, tolerance);
             if (round == 7) round = 6;
             if (!(tolerance > 1e-7 * t->range)) return TETCAST_ERR_RANGE;
         }
@@ -24937,7 +24957,7 @@ TETCAST_DEF tetcast_result tetcast_rbf_fit(const tetcast_rbf_fit_desc *desc, con
     tetcast_rbf_destroy(m);
     return tetcasti_fail(d.env.error, r, 0, r == TETCAST_ERR_EMPTY ? "fit: no usable point"
                          : r == TETCAST_ERR_RANGE
-                             ? "fit: max_error is less than floats keep, or needs too many points or functions"
+                             ? "fit: max_error or mean_error is less than floats keep, or needs too many functions"
                          : r == TETCAST_ERR_CANCELLED ? "fit: cancelled"
                          : r == TETCAST_ERR_NO_MEMORY ? why[3] : why[1]);
 }
@@ -25524,7 +25544,7 @@ static float tetcasti_rbf_scalar(const tetcasti_rbf_picture *t, const float *v, 
     /* differences of values are numbers, too */
     if (t->channel == TETCAST_RBF_CHANNEL_LAMBDA2) return tetcasti_value_clamp(-flow.lambda2);
     if (t->channel == TETCAST_RBF_CHANNEL_HELICITY) return tetcasti_value_clamp(flow.helicity);
-    return tetcasti_value_clamp(tetcasti_flow_number(sqrt((double)flow.vorticity[0] * (double)flow.vorticity[0] +
+    return tetcasti_value_clamp(tetcasti_narrow(sqrt((double)flow.vorticity[0] * (double)flow.vorticity[0] +
                                                           (double)flow.vorticity[1] * (double)flow.vorticity[1] +
                                                           (double)flow.vorticity[2] * (double)flow.vorticity[2])));
 }
@@ -27753,21 +27773,19 @@ static int tetcasti_foam_put(const tetcasti_foam_frame *c, const double o[3], co
     return 1;
 }
 
-static float tetcasti_foam_far(double t) { return t < 3e38 ? t > -3e38 ? (float)t : -3e38f : 3e38f; }
-
 /* A ray is done: `which` is its number in the tile or in the caller's list, start where it met the box. */
 static void tetcasti_foam_write(tetcasti_foam_frame *c, const tetcasti_foam_ray *r, double start, size_t which,
                                 uint32_t x0, uint32_t y0) {
     float rgba[4];
     const double unit = c->foam->unit, first = start + (double)r->first * unit;
-    const float length = tetcasti_foam_far((double)r->t * unit);
+    const float length = tetcasti_narrow((double)r->t * unit);
     memcpy(rgba, r->rgb, sizeof r->rgb);
     rgba[3] = 1.0f - r->left;
     if (c->image == NULL) {
         tetcast_ray_result *to = &c->results[which];
         memcpy(to->rgba, rgba, sizeof rgba);
         to->length = length;
-        to->hit = r->first < TETCASTI_INF ? tetcasti_foam_far(first) : TETCASTI_INF;
+        to->hit = r->first < TETCASTI_INF ? tetcasti_narrow(first) : TETCASTI_INF;
         to->steps = r->steps;
         to->walks = r->steps != 0;
     } else {
@@ -27775,7 +27793,7 @@ static void tetcasti_foam_write(tetcasti_foam_frame *c, const tetcasti_foam_ray 
         const double *forward = c->frame.forward;
         float depth = TETCASTI_INF;
         if (r->first < TETCASTI_INF)
-            depth = tetcasti_foam_far(first * ((double)r->d[0] * forward[0] + (double)r->d[1] * forward[1] +
+            depth = tetcasti_narrow(first * ((double)r->d[0] * forward[0] + (double)r->d[1] * forward[1] +
                                                (double)r->d[2] * forward[2]));
         tetcasti_pixel_put(c->image, &c->encoder, c->desc->background, x, y, rgba, depth, length, r->steps);
     }

@@ -1103,18 +1103,18 @@ typedef struct zbufrand_costs {
 
 /* field           zero means
    camera          (eye equals at) one that frames the scene; a cube of edge 2 around the origin without a scene
-   tolerance       0.05: probability that the picture is incomplete, at most, below 1: that somewhere a pixel is empty,
-                   or all that is visible in it and in the pixels around it is nearer than 0.99 of its depth (in blocks
-                   of d x d: up to 3 d / 2 pixels away; 5 d / 2 where regions grow over cells or squares), where these
-                   are covered as a whole, d pixels beyond the borders of the picture, too. Where a Gaussian mixes
-                   samples of cells or squares, a pixel counts as deep as the nearest of them, whatever its depth in
-                   the picture is; so with pull-push where it keeps none of its own. Gaps between cells or squares that
-                   nothing fills do not count (fill none, `reach` or a Gaussian that reaches less than a block,
-                   squares with a tolerance_slope below 0); nor do, with tolerance_slope, hidden surfaces where a steep
-                   visible one would go on if it did. Holds for what is sampled; what is rastered misses nothing; a ray
-                   that meets the seam of two instances exactly may pass between them. With `noise`, without a tolerance
-                   and where rays help, frames have half as many samples, and what is reported is about all of them:
-                   that somewhere none is right
+   tolerance       0.05: probability that the picture is incomplete, at most, 1e-15 (what is less counts as that) to
+                   below 1: that somewhere a pixel is empty, or all that is visible in it and in the pixels around it
+                   is nearer than 0.99 of its depth (in blocks of d x d: up to 3 d / 2 pixels away; 5 d / 2 where
+                   regions grow over cells or squares), where these are covered as a whole, d pixels beyond the borders
+                   of the picture, too. Where a Gaussian mixes samples of cells or squares, a pixel counts as deep as
+                   the nearest of them, whatever its depth in the picture is; so with pull-push where it keeps none of
+                   its own. Gaps between cells or squares that nothing fills do not count (fill none, `reach` or a
+                   Gaussian that reaches less than a block, squares with a tolerance_slope below 0); nor do, with
+                   tolerance_slope, hidden surfaces where a steep visible one would go on if it did. Holds for what is
+                   sampled; what is rastered misses nothing; a ray that meets the seam of two instances exactly may
+                   pass between them. With `noise`, without a tolerance and where rays help, frames have half as many
+                   samples, and what is reported is about all of them: that somewhere none is right
    density         as `tolerance` needs it. L: samples per square pixel of projected surface, visible or hidden; below
                    10^6
    noise           one frame. E: frames are averaged until the estimated RMSE of the mean (linear light) is below E

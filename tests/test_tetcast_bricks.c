@@ -4158,6 +4158,118 @@ TEST(shaded_depth_of_flat_cells) {
     tetcast_mesh_destroy(mesh);
 }
 
+static int first_front(void *user, const tetcast_crossing *x) {
+    *(double *)user = x->t_front;
+    return 1;
+}
+
+/* A cube of eight, its middle in the origin. */
+static tetcast_mesh *cube_of_size(double size) {
+    static float value[27];
+    tetcast_grid g;
+    tetcast_field f;
+    tetcast_mesh *mesh = NULL;
+    uint32_t i;
+    memset(&g, 0, sizeof g);
+    memset(&f, 0, sizeof f);
+    for (i = 0; i < 27; i++) value[i] = 0.5f + 0.01f * (float)i;
+    for (i = 0; i < 3; i++) {
+        g.dims[i] = 3;
+        g.origin[i] = -0.5 * size;
+        g.spacing[i] = 0.5 * size;
+    }
+    f.values.data = value;
+    g.fields = &f;
+    g.field_count = 1;
+    CHECK_EQ_U64(tetcast_mesh_create_grid(NULL, &g, NULL, &mesh), TETCAST_OK);
+    return mesh;
+}
+
+/* The distances of a ray to tetrahedra are right from far away, and so is what clip_far leaves. */
+TEST(shaded_from_far_away) {
+    enum { W = 5, H = 5 };
+    static float rgba[W * H * 4], length[W * H], depth[W * H];
+    tetcast_mesh *mesh = cube_of_size(1.0);
+    tetcast_optics *o = flat_optics(0.3f, TETCAST_MODEL_VOLUME);
+    test_rng r = test_rng_make(34);
+    double far;
+    uint32_t i;
+    REQUIRE(mesh != NULL && o != NULL);
+    for (far = 10.0; far < 2e10; far *= 10.0) { /* each is a float */
+        tetcast_shade_desc d;
+        tetcast_image image;
+        for (i = 0; i < 50; i++) {
+            tetcast_ray ray;
+            double front = -1.0;
+            memset(&ray, 0, sizeof ray);
+            ray.org[0] = 0.011;
+            ray.org[1] = 0.023;
+            ray.org[2] = far * (1.0 + (double)test_rng_float(&r));
+            ray.dir[2] = -1.0;
+            CHECK(tetcast_probe(mesh, &ray, first_front, &front) == 1);
+            CHECK_NEAR(front, ray.org[2] - 0.5, 1e-6 + 4e-16 * ray.org[2]);
+        }
+        memset(&d, 0, sizeof d);
+        memset(&image, 0, sizeof image);
+        d.camera.eye[0] = d.camera.at[0] = 0.011; /* on no face */
+        d.camera.eye[1] = d.camera.at[1] = 0.023;
+        d.camera.eye[2] = far;
+        d.camera.ortho_height = 0.5f;
+        d.clip_far = (float)far;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba;
+        image.length = length;
+        image.depth = depth;
+        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
+        for (i = 0; i < W * H; i++) {
+            const double want = fmin(fmax((double)d.clip_far - (far - 0.5), 0.0), 1.0);
+            CHECK_NEAR((double)length[i], want, 1e-5 + 4e-16 * far);
+            CHECK_NEAR((double)rgba[4 * i + 3], 1.0 - exp(-(double)0.3f * want), 1e-5 + 4e-16 * far);
+        }
+    }
+    tetcast_optics_destroy(o);
+    tetcast_mesh_destroy(mesh);
+}
+
+/* Lengths that no float holds: no NaN, and the same as tetcast_render. */
+TEST(shaded_meshes_of_any_size) {
+    enum { W = 5, H = 4 };
+    static float rgba[2][W * H * 4], length[2][W * H], depth[2][W * H];
+    static const float extinction[3] = {0.0f, 1e-30f, 1.0f};
+    double size;
+    uint32_t i, k, q;
+    for (size = 1e20; size < 2e95; size *= 1e15)
+        for (q = 0; q < 6; q++) {
+            tetcast_mesh *mesh = cube_of_size(size);
+            tetcast_optics *o = flat_optics(extinction[q % 3], q < 3 ? TETCAST_MODEL_VOLUME : TETCAST_MODEL_ABSORPTION);
+            tetcast_shade_desc d;
+            tetcast_render_desc rd;
+            tetcast_image image;
+            REQUIRE(mesh != NULL && o != NULL);
+            memset(&d, 0, sizeof d);
+            memset(&rd, 0, sizeof rd);
+            memset(&image, 0, sizeof image);
+            d.background[0] = d.background[3] = rd.background[0] = rd.background[3] = 1.0f;
+            image.width = W;
+            image.height = H;
+            for (k = 0; k < 2; k++) {
+                image.rgba = rgba[k];
+                image.length = length[k];
+                image.depth = depth[k];
+                CHECK_EQ_U64(k ? tetcast_render_shaded(&d, mesh, o, &image, NULL) : tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
+            }
+            for (i = 0; i < 4 * W * H; i++) CHECK_NEAR((double)rgba[0][i], (double)rgba[1][i], 1e-5);
+            for (i = 0; i < W * H; i++) {
+                CHECK((depth[0][i] < INFINITY) == (depth[1][i] < INFINITY));
+                if (length[0][i] < INFINITY) CHECK_NEAR((double)length[0][i], (double)length[1][i], 1e-5 * (double)length[0][i]);
+                if (depth[0][i] < INFINITY) CHECK_NEAR((double)depth[0][i], (double)depth[1][i], 1e-5 * (double)depth[0][i]);
+            }
+            tetcast_optics_destroy(o);
+            tetcast_mesh_destroy(mesh);
+        }
+}
+
 /* Bodies as large as they may be, and planes whose normals are: as those of size 1. */
 TEST(clips_of_any_size) {
     static const double sizes[] = {1.0, 1e90, 1e110, 1e149};
@@ -4918,6 +5030,8 @@ int main(int argc, char **argv) {
     RUN(shaded_without_hidden_cells);
     RUN(shaded_surface_in_a_flat_cell);
     RUN(shaded_depth_of_flat_cells);
+    RUN(shaded_from_far_away);
+    RUN(shaded_meshes_of_any_size);
     RUN(clips_of_any_size);
     RUN(refined_grids);
     RUN(refinement_ratios);

@@ -1615,6 +1615,51 @@ static void features(const double j[9], tetcast_flow *f) {
     tetcast_flow_features(v, g, f);
 }
 
+/* A mean that is far less than the largest error: weights are as fine as that takes, in files as well. */
+TEST(means_far_below_the_largest_error) {
+    enum { N = 300 };
+    static double p[3 * N], v[N];
+    static float got[2][N];
+    test_rng r = test_rng_make(91);
+    double mean;
+    size_t i, a;
+    for (i = 0; i < N; i++) {
+        for (a = 0; a < 3; a++) p[3 * i + a] = (double)test_rng_float(&r);
+        v[i] = sin(6.0 * p[3 * i]) * cos(5.0 * p[3 * i + 1]) + p[3 * i + 2] + 0.02 * (double)test_rng_float(&r);
+    }
+    for (mean = 1e-3; mean > 5e-7; mean *= 0.1) {
+        tetcast_rbf_points in;
+        tetcast_rbf_fit_desc d;
+        tetcast_rbf_report report;
+        tetcast_rbf *m = NULL, *again = NULL;
+        uint8_t *file;
+        size_t size = 0;
+        double sum = 0.0;
+        memset(&in, 0, sizeof in);
+        memset(&d, 0, sizeof d);
+        in.positions.data = p;
+        in.values.data = v;
+        in.positions.type = in.values.type = TETCAST_TYPE_F64;
+        in.count = N;
+        in.components = 1;
+        d.max_error = 0.05f;
+        d.mean_error = (float)mean;
+        REQUIRE(tetcast_rbf_fit(&d, &in, &report, &m) == TETCAST_OK);
+        CHECK(report.mean_error <= (double)d.mean_error && report.max_error <= 0.05);
+        CHECK(tetcast_rbf_save_memory(m, NULL, 0, &size) == TETCAST_OK);
+        file = (uint8_t *)malloc(size);
+        CHECK(tetcast_rbf_save_memory(m, file, size, &size) == TETCAST_OK);
+        REQUIRE(tetcast_rbf_load_memory(NULL, file, size, &again) == TETCAST_OK);
+        free(file);
+        CHECK(tetcast_rbf_eval(NULL, m, p, N, got[0], NULL) == TETCAST_OK && tetcast_rbf_eval(NULL, again, p, N, got[1], NULL) == TETCAST_OK);
+        CHECK(memcmp(got[0], got[1], sizeof got[0]) == 0);
+        for (i = 0; i < N; i++) sum += fabs((double)got[1][i] - v[i]);
+        CHECK_MSG(sum / N <= mean * report.range + 1e-7, "%g: %g", mean, sum / N / report.range);
+        tetcast_rbf_destroy(again);
+        tetcast_rbf_destroy(m);
+    }
+}
+
 /* Numbers of any size: the same functions, the same files but for the range. Reading gives the same bits, and a fit goes
    on from another one. */
 TEST(data_of_any_size) {
@@ -2740,6 +2785,7 @@ int main(int argc, char **argv) {
     RUN(starts);
     RUN(odd_data);
     RUN(data_of_any_size);
+    RUN(means_far_below_the_largest_error);
     RUN(flows);
     RUN(traces);
     RUN(traces_in_functions);
