@@ -457,7 +457,8 @@ typedef enum tetcast_order {
 /* field           zero means
    cells           Tet16
    order           Hilbert curve
-   weld            off. 1: vertices at the same place (as 32-bit floats) become one: for blocks that were exported apart
+   weld            off. 1: vertices at the same place (as 32-bit floats; of sides that are farther from 0 than they are
+                   long, from their middle) become one: for blocks that were exported apart
    drop_tets       keep 16 bytes a cell with the four vertices: needed by projection, isosurfaces, strips and checks
    drop_source     keep 4 bytes a cell and a vertex: numbers in the input
    keep_neighbours off. 1: keep 16 bytes a cell with the four neighbours; they are made again when something needs them
@@ -761,7 +762,8 @@ typedef struct tetcast_optics_desc {
     float t_min;
     float tolerance;
     float path_length;
-    uint32_t cue;                  /* 1: depth cueing: colours times k(depth), and (1-k) of the fog colour */
+    uint32_t cue;                  /* 1: depth cueing: colours times k(depth), and (1-k) of the fog colour; k is that
+                                      of the middle of each segment, which tolerance and bound leave out */
     float cue_depth[2];            /* nearest and farthest depth, world units along the ray; ascending */
     float cue_scale[2];            /* k there, in [0, 1]; linear between, clamped outside */
     float fog[3];                  /* linear, >= 0 */
@@ -1163,7 +1165,8 @@ TETCAST_DEF void tetcast_section_free(tetcast_section *section); /* NULL and cle
    log_cells    bricks of 2^4 cells a side, 17^3 nodes; 3, 4 or 5
    levels       as many as there can be: log_cells + 1; never more
    storage      TETCAST_TYPE_F32, _F16, _U16 or _U8. Integers share one scale over the whole volume, so that neighbours
-                agree in the nodes that they share; an integer is off by at most half a step of it
+                agree in the nodes that they share; an integer is off by at most half a step of it. F16: values beyond
+                65504 are that, those below 6e-8 are multiples of it
    max_error    everything is kept on all levels (from meshes: but for what a coarser brick has exactly). > 0: in units
                 of the values; a brick has no finer ones below it where it is nearer than this to the finest level
    nearest      coarser levels are made with the quadratic B-spline (1 4 6 4 1)/16; 1: every other node (always so with
@@ -1777,9 +1780,9 @@ typedef struct tetcast_rbf_eval_desc {
    values     out, [count][components], or NULL
    jacobians  out, [count][components][3]: derivative of each component along x, y, z, per world unit; or NULL.
               Infinite if a function's weight / width^2 is not a float
-   Outside of the box the base is that of the nearest point of the box. Errors: INVALID_ARG, UNINIT_DESC, RANGE (2^39
-   points). The same bits for any number of threads. Allocates nothing. Cost: 0.3 to 0.5 ns a point and function of its
-   cell. */
+   Outside of the box the base is that of the nearest point of the box, and so are its derivatives. Errors:
+   INVALID_ARG, UNINIT_DESC, RANGE (2^39 points). The same bits for any number of threads. Allocates nothing. Cost: 0.3
+   to 0.5 ns a point and function of its cell. */
 TETCAST_DEF tetcast_result tetcast_rbf_eval(const tetcast_rbf_eval_desc *desc, const tetcast_rbf *rbf,
                                             const double *positions, size_t count, float *values, float *jacobians);
 
@@ -1967,10 +1970,12 @@ typedef struct tetcast_rbf_render_stats { /* added to by calls that succeed, but
 /* Draw a model inside its box.
    optics  as for meshes, may be NULL where there is a shader; its integrator gets segments between samples on which the
            value is taken as linear
-   image   length: way inside of the box. depth: of the first sample that shows something, isosurfaces exactly. steps: 0
-   Samples lie at multiples of the step from the eye, and where a ray enters and leaves the box; segments have their
-   exact lengths. On a ray a Gaussian is one of a line: it is summed up with two multiplications a sample, begun at
-   its middle. Isosurfaces are refined on the ray and have the analytic gradient as normal.
+   image   length: way inside of the box, without what is clipped away. depth: of the first sample that shows something,
+           isosurfaces exactly. steps: 0
+   Samples lie at multiples of the step from the eye. Where a ray enters and leaves the box the value is between those
+   of the samples around, of which one lies outside; segments have their exact lengths. On a ray a Gaussian is one of a
+   line: it is summed up with two multiplications a sample, begun at its middle. Isosurfaces are refined on the ray and
+   have the analytic gradient as normal.
    The same bits for any number of threads and any isa. Errors: INVALID_ARG (as well: no such component, flow features
    of other than three), RANGE (over 2^16 samples on a ray, a table too short, a picture too large), UNINIT_DESC,
    NO_MEMORY, CANCELLED (then the picture is incomplete); what a shader's prepare_fn returns. Thread safety: any number
@@ -2830,6 +2835,23 @@ static TETCASTI_UNUSED uint32_t tetcasti_oct_encode(const float n[3]) {
 /* As a float that is a number: the end of their range beyond it. */
 TETCASTI_UNUSED static float tetcasti_narrow(double x) { return x > 3e38 ? 3e38f : x < -3e38 ? -3e38f : (float)x; }
 
+/* 2^e, |e| < 1000 */
+TETCASTI_UNUSED static double tetcasti_power2(int32_t e) {
+    uint64_t bits = (uint64_t)(e + 1023) << 52;
+    double v;
+    memcpy(&v, &bits, sizeof v);
+    return v;
+}
+
+/* The power of two of a normal number x > 0: 2^e <= x < 2^(e+1). */
+TETCASTI_UNUSED static double tetcasti_power2_below(double x) {
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    bits &= (uint64_t)2047 << 52;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
 TETCASTI_UNUSED static void tetcasti_store_f64(uint8_t *p, double v) {
     uint64_t u;
     memcpy(&u, &v, 8);
@@ -3590,9 +3612,45 @@ TETCASTI_INLINE uint32_t tetcasti_hash3(uint64_t a, uint64_t b, uint64_t c, uint
     return (uint32_t)(tetcasti_hash_mix(tetcasti_hash_mix(a, b), c) * 0x9e3779b97f4a7c15u >> (64 - bits));
 }
 
+/* What floats of positions are taken of: from the middle of sides that are farther from 0 than they are long, times a
+   power of two, so that no number is too large or too small for them. */
+typedef struct tetcasti_weld_frame { double from[3], scale; } tetcasti_weld_frame;
+
+static void tetcasti_weld_place(const tetcasti_import *m, tetcasti_weld_frame *out) {
+    double lo[3], hi[3], most = 0.0;
+    uint32_t v, a;
+    for (a = 0; a < 3; a++) {
+        lo[a] = 1e300;
+        hi[a] = -1e300;
+    }
+    for (v = 0; v < m->input_vertices; v++) {
+        double p[3];
+        if (m->state[v] & TETCASTI_BAD) continue;
+        tetcasti_import_position(m, v, p);
+        for (a = 0; a < 3; a++) {
+            lo[a] = tetcasti_min(lo[a], p[a]);
+            hi[a] = tetcasti_max(hi[a], p[a]);
+        }
+    }
+    for (a = 0; a < 3; a++) {
+        const int beside = lo[a] > hi[a] - lo[a] || -hi[a] > hi[a] - lo[a];
+        out->from[a] = beside ? 0.5 * (lo[a] + hi[a]) : 0.0;
+        most = tetcasti_max(most, tetcasti_max(hi[a] - out->from[a], out->from[a] - lo[a]));
+    }
+    out->scale = most > 1e-290 ? 1.0 / tetcasti_power2_below(most) : 1.0;
+}
+
+static void tetcasti_weld_position(const tetcasti_import *m, const tetcasti_weld_frame *t, uint32_t v, float out[3]) {
+    double p[3];
+    uint32_t a;
+    tetcasti_import_position(m, v, p);
+    for (a = 0; a < 3; a++) out[a] = (float)((p[a] - t->from[a]) * t->scale) + 0.0f; /* -0 is 0 */
+}
+
 /* Vertices at the same place, as floats: the one with the smallest number stands for all. */
 static int tetcasti_weld(tetcasti_import *m) {
     uint32_t bits = tetcasti_hash_bits(m->input_vertices), v, *table;
+    tetcasti_weld_frame t;
     m->canon = (uint32_t *)tetcasti_alloc_array(m->mem, m->input_vertices, sizeof *m->canon);
     table = (uint32_t *)tetcasti_alloc_array(m->mem, (size_t)1 << bits, sizeof *table);
     if (m->canon == NULL || table == NULL) {
@@ -3600,14 +3658,13 @@ static int tetcasti_weld(tetcasti_import *m) {
         return 0;
     }
     memset(table, 0xff, sizeof *table << bits);
+    tetcasti_weld_place(m, &t);
     for (v = 0; v < m->input_vertices; v++) {
-        double p[3], q[3];
-        float f[3];
-        uint32_t a, h, key[3];
+        float f[3], q[3];
+        uint32_t h, key[3];
         m->canon[v] = v;
         if (m->state[v] & TETCASTI_BAD) continue;
-        tetcasti_import_position(m, v, p);
-        for (a = 0; a < 3; a++) f[a] = (float)p[a] + 0.0f; /* -0 is 0 */
+        tetcasti_weld_position(m, &t, v, f);
         memcpy(key, f, sizeof key);
         h = tetcasti_hash3(key[0], key[1], key[2], bits);
         for (;; h = (h + 1) & (((uint32_t)1 << bits) - 1u)) {
@@ -3616,8 +3673,8 @@ static int tetcasti_weld(tetcasti_import *m) {
                 table[h] = v;
                 break;
             }
-            tetcasti_import_position(m, u, q);
-            if ((float)q[0] == f[0] && (float)q[1] == f[1] && (float)q[2] == f[2]) {
+            tetcasti_weld_position(m, &t, u, q);
+            if (q[0] == f[0] && q[1] == f[1] && q[2] == f[2]) {
                 m->canon[v] = u;
                 m->report->welded++;
                 break;
@@ -3744,23 +3801,6 @@ static void tetcasti_task_box(void *ctx, uint32_t chunk) {
             box[a + 3] = tetcasti_max(box[a + 3], p[a]);
         }
     }
-}
-
-/* 2^e, |e| < 1000 */
-static double tetcasti_power2(int32_t e) {
-    uint64_t bits = (uint64_t)(e + 1023) << 52;
-    double v;
-    memcpy(&v, &bits, sizeof v);
-    return v;
-}
-
-/* The power of two of a normal number x > 0: 2^e <= x < 2^(e+1). */
-static double tetcasti_power2_below(double x) {
-    uint64_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    bits &= (uint64_t)2047 << 52;
-    memcpy(&x, &bits, sizeof x);
-    return x;
 }
 
 static void tetcasti_import_place(tetcasti_import *m) { /* origin and scale from the box of what is used */
@@ -14962,16 +15002,22 @@ typedef struct tetcasti_plane {
 } tetcasti_plane;
 
 static int tetcasti_plane_open(const tetcast_mesh *mesh, const tetcast_plane *plane, tetcasti_plane *out) {
-    double length;
+    double length, su = 0.0, sv = 0.0, un[3], vn[3];
     uint32_t a;
-    double un[3], vn[3];
+    for (a = 0; a < 3; a++) {
+        su = tetcasti_max(su, tetcasti_abs(plane->u[a]));
+        sv = tetcasti_max(sv, tetcasti_abs(plane->v[a]));
+    }
     for (a = 0; a < 3; a++)
         if (!tetcasti_finite(plane->origin[a]) || !tetcasti_finite(plane->u[a]) || !tetcasti_finite(plane->v[a]))
             return 0;
+    if (!(su > 1e-300) || !(sv > 1e-300)) return 0;
+    su = tetcasti_power2_below(su); /* squares of directions of any length are numbers */
+    sv = tetcasti_power2_below(sv);
     for (a = 0; a < 3; a++) {
         out->origin[a] = (plane->origin[a] - mesh->origin[a]) / mesh->unit;
-        un[a] = plane->u[a] / mesh->unit;
-        vn[a] = plane->v[a] / mesh->unit;
+        un[a] = plane->u[a] / su;
+        vn[a] = plane->v[a] / sv;
     }
     tetcasti_cross(un, vn, out->normal);
     length = out->normal[0] * out->normal[0] + out->normal[1] * out->normal[1] + out->normal[2] * out->normal[2];
@@ -14979,8 +15025,8 @@ static int tetcasti_plane_open(const tetcast_mesh *mesh, const tetcast_plane *pl
     tetcasti_cross(vn, out->normal, out->u);
     tetcasti_cross(out->normal, un, out->v);
     for (a = 0; a < 3; a++) {
-        out->u[a] /= length;
-        out->v[a] /= length;
+        out->u[a] = out->u[a] / length * (mesh->unit / su);
+        out->v[a] = out->v[a] / length * (mesh->unit / sv);
         out->normal[a] /= sqrt(length);
     }
     return 1;
@@ -15151,8 +15197,8 @@ TETCAST_DEF tetcast_result tetcast_plane_sample(const tetcast_env *env, const te
     if (env == NULL) env = &none;
     r = tetcasti_env_open(env, &mem);
     if (r != TETCAST_OK) return r;
-    if (mesh == NULL || plane == NULL || out == NULL || mesh->tet == NULL || width > 0x7fffffffu ||
-        height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f))
+    if (mesh == NULL || plane == NULL || (out == NULL && width != 0 && height != 0) || mesh->tet == NULL ||
+        width > 0x7fffffffu || height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f))
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "plane: no plane, or no tets");
     if (!tetcasti_mul_size(width, height, &n))
         return tetcasti_fail(env->error, TETCAST_ERR_RANGE, 0, "plane: too many points");
@@ -15268,8 +15314,8 @@ TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetc
     if (env == NULL) env = &none;
     r = tetcasti_env_open(env, &mem);
     if (r != TETCAST_OK) return r;
-    if (mesh == NULL || plane == NULL || out == NULL || camera == NULL || mesh->tet == NULL || width > 0x7fffffffu ||
-        height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f) ||
+    if (mesh == NULL || plane == NULL || (out == NULL && width != 0 && height != 0) || camera == NULL ||
+        mesh->tet == NULL || width > 0x7fffffffu || height > 0x7fffffffu || !tetcasti_plane_open(mesh, plane, &f) ||
         tetcasti_frame_open(camera, width, height, &c) != TETCAST_OK)
         return tetcasti_fail(env->error, TETCAST_ERR_INVALID_ARG, 0, "plane: no plane, no camera, or no tets");
     if (!tetcasti_mul_size(width, height, &n))
@@ -15379,11 +15425,11 @@ static void tetcasti_section_pass(const tetcast_mesh *mesh, const double *height
             for (k = 1; k + 1 < n; k++) {
                 double u[3], v[3], w[3];
                 for (a = 0; a < 3; a++) {
-                    u[a] = (p[k][a] - p[0][a]) * mesh->unit;
-                    v[a] = (p[k + 1][a] - p[0][a]) * mesh->unit;
+                    u[a] = p[k][a] - p[0][a];
+                    v[a] = p[k + 1][a] - p[0][a];
                 }
                 tetcasti_cross(u, v, w);
-                section->area += 0.5 * sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+                section->area += 0.5 * sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) * mesh->unit * mesh->unit;
             }
         }
         *points += n;
@@ -16541,8 +16587,9 @@ static int tetcasti_cut_choose(tetcast_cut *cut, const tetcast_cut_desc *d) {
                     const uint32_t s[3] = {x, y, z};
                     double way = 0.0, far_off;
                     for (a = 0; a < 3; a++) {
-                        const double c = b->lattice.origin[a] + ((double)s[a] + 0.5) * (double)(1u << b->log) *
-                            b->lattice.spacing[a] - d->focus[a];
+                        const double side = (double)(1u << b->log) * b->lattice.spacing[a];
+                        const double lo = b->lattice.origin[a] + (double)s[a] * side - d->focus[a], hi = lo + side;
+                        const double c = lo > 0.0 ? lo : hi < 0.0 ? hi : 0.0; /* of its nearest point */
                         way += c * c;
                     }
                     far_off = sqrt(way) / d->focus_radius;
@@ -19896,7 +19943,7 @@ static uint32_t tetcasti_octet_shade(const tetcasti_brick_frame *c, tetcasti_oct
             p->direction[a][i] = (float)r->world_d[a];
             if ((s->needs & TETCAST_NEED_POSITION) || s->channel_count != 0)
                 p->position[a][i] = (float)(r->world_o[a] + r->world_d[a] *
-                                            (double)(p->depth[i] + 0.5f * p->length[i]));
+                                            (l->t[i] + (double)(l->tau[i] - 0.5f * p->length[i])));
         }
     }
     tetcasti_shader_channels(s, p);
@@ -20072,7 +20119,11 @@ static void tetcasti_octet_run(const tetcasti_brick_frame *c, tetcasti_octet l[2
     }
 }
 
-/* The ray of a pixel: spans inside of the lattice, between the ends of the view, not clipped away, in the hull. */
+/* Half of the thickness that a side has because it has one node: spacings. */
+static double tetcasti_lattice_thin(const tetcast_lattice *l, uint32_t a) { return l->dims[a] > 1 ? 0.0 : 0.5; }
+
+/* The ray of a pixel: spans inside of the lattice, between the ends of the view, not clipped away, in the hull. A side
+   with one node is a layer around it, which begins at 0 for the walk. */
 static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uint32_t y, double limit,
                                         tetcasti_octet *l, uint32_t i) {
     const tetcast_brick_render_desc *d = c->desc;
@@ -20089,10 +20140,11 @@ static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uin
     hi = d->clip_far > 0.0f ? (double)d->clip_far * way : 1e300;
     hi = tetcasti_min(tetcasti_min(hi, limit * way), reach[1]);
     for (a = 0; a < 3; a++) {
-        const double end = (double)(b->lattice.dims[a] - 1), thin = end > 0.0 ? 0.0 : 0.5;
+        const double thin = tetcasti_lattice_thin(&b->lattice, a);
+        const double end = (double)(b->lattice.dims[a] - 1) + 2.0 * thin;
         double t0, t1;
         r->world_d[a] /= way;
-        l->o[a][i] = (r->world_o[a] - b->lattice.origin[a]) / b->lattice.spacing[a];
+        l->o[a][i] = (r->world_o[a] - b->lattice.origin[a]) / b->lattice.spacing[a] + thin;
         l->d[a][i] = r->world_d[a] / b->lattice.spacing[a];
         if (tetcasti_abs(r->world_d[a]) < 1e-30) l->d[a][i] = 0.0;
         l->inv[a][i] = l->d[a][i] != 0.0 ? 1.0 / l->d[a][i] : 0.0;
@@ -20102,11 +20154,11 @@ static uint32_t tetcasti_brick_ray_open(tetcasti_brick_frame *c, uint32_t x, uin
         l->move[a][i] = a == 0 ? l->way[0][i]
                                : (ptrdiff_t)b->slots[0] * (a == 2 ? (ptrdiff_t)b->slots[1] : 1) * l->way[a][i];
         if (l->d[a][i] == 0.0) {
-            if (!(l->o[a][i] >= -thin && l->o[a][i] <= end + thin)) return 0;
+            if (!(l->o[a][i] >= 0.0 && l->o[a][i] <= end)) return 0;
             continue;
         }
-        t0 = (-thin - l->o[a][i]) * l->inv[a][i];
-        t1 = (end + thin - l->o[a][i]) * l->inv[a][i];
+        t0 = -l->o[a][i] * l->inv[a][i];
+        t1 = (end - l->o[a][i]) * l->inv[a][i];
         lo = tetcasti_max(lo, tetcasti_min(t0, t1));
         hi = tetcasti_min(hi, tetcasti_max(t0, t1));
     }
@@ -20350,7 +20402,7 @@ static int tetcasti_brick_reach(tetcasti_brick_frame *c) {
                 uint32_t first[3], end[3], bins[4], seen = 0;
                 double lo[3], hi[3], reach[2];
                 for (a = 0; a < 3; a++) {
-                    const double last = (double)(b->lattice.dims[a] - 1), thin = last > 0.0 ? 0.0 : 0.5;
+                    const double last = (double)(b->lattice.dims[a] - 1), thin = tetcasti_lattice_thin(&b->lattice, a);
                     first[a] = at[a] << log;
                     end[a] = first[a] + (1u << log) < b->slots[a] ? first[a] + (1u << log) : b->slots[a];
                     lo[a] = (double)((uint64_t)first[a] << b->log) - thin;
@@ -20384,12 +20436,13 @@ static tetcast_result tetcasti_brick_frame_open(tetcasti_brick_frame *c, tetcast
     tetcast_result r;
     uint32_t a, k;
     for (a = 0; a < 3; a++) {
-        lo[a] = b->lattice.origin[a];
-        hi[a] = lo[a] + (double)(b->lattice.dims[a] - 1) * b->lattice.spacing[a];
+        const double thin = tetcasti_lattice_thin(&b->lattice, a) * b->lattice.spacing[a];
+        lo[a] = b->lattice.origin[a] - thin;
+        hi[a] = b->lattice.origin[a] + (double)(b->lattice.dims[a] - 1) * b->lattice.spacing[a] + thin;
         if (b->lattice.dims[a] > 1) least = tetcasti_min(least, b->lattice.spacing[a]);
     }
     c->step = (least < 1e300 ? least : b->lattice.spacing[0]) * (d->step > 0.0f ? (double)d->step : 1.0);
-    for (a = 0; a < 3; a++) { /* a side with one node is a layer as thick as its spacing */
+    for (a = 0; a < 3; a++) {
         const double side = tetcasti_max(hi[a] - lo[a], b->lattice.spacing[a]) / c->step;
         way += side * side;
     }
@@ -24981,6 +25034,7 @@ typedef struct tetcasti_rbf_group {   /* eight rays; lanes without a ray are cop
     float in[8], out[8];              /* way from there to where the ray enters and leaves the box */
     float world[8];                   /* world length of a local unit */
     float start[8];                   /* world distance of sample 0 from the eye */
+    double begin[8];                  /* that, not rounded */
     uint32_t lanes;                   /* that have a ray */
     int32_t n;                        /* samples */
     float h, per;                     /* step, and 1 / h */
@@ -25489,7 +25543,8 @@ static int tetcasti_rbf_group_open(const tetcasti_rbf_picture *t, uint32_t x, ui
         g->in[l] = (float)(ends[k][0] - at);
         g->out[l] = (float)(ends[k][1] - at);
         g->world[l] = (float)world[k];
-        g->start[l] = (float)(at * world[k]);
+        g->begin[l] = at * world[k];
+        g->start[l] = (float)g->begin[l];
     }
     g->h = t->h;
     g->per = 1.0f / t->h;
@@ -25767,11 +25822,25 @@ static void tetcasti_rbf_spans_open(tetcasti_rbf_picture *t, const tetcasti_rbf_
         if (d->clip != NULL) tetcasti_clip_run(&t->mem, d->clip, o, dir, s);
         if (s->failed) tetcasti_atomic_store(&t->failed, 1u);
         for (i = 0; i < s->count; i++) { /* world -> local, from sample 0 */
-            const double scale = (double)g->world[l], start = (double)g->start[l];
+            const double scale = (double)g->world[l], start = g->begin[l];
             s->span[i][0] = (double)(float)((s->span[i][0] - start) / scale);
             s->span[i][1] = (double)(float)(tetcasti_min(s->span[i][1] - start, 1e30 * scale) / scale);
         }
     }
+}
+
+/* Way of a ray inside of the box, and of what clipping leaves of it (spans NULL: all). */
+static float tetcasti_rbf_way(const tetcasti_rbf_group *g, const tetcasti_rbf_spans *spans, uint32_t l) {
+    const float in = g->in[l], out = g->out[l];
+    float sum = 0.0f;
+    uint32_t i;
+    if (spans == NULL) return out - in;
+    for (i = 0; i < spans->lane[l].count; i++) {
+        const float lo = (float)spans->lane[l].span[i][0], hi = (float)spans->lane[l].span[i][1];
+        const float from = lo > in ? lo : in, to = hi < out ? hi : out;
+        if (to > from) sum += to - from;
+    }
+    return sum;
 }
 
 /* Part number `part` of the segments of the lanes between a and b: lanes that have one; from, to and seg of it. more:
@@ -26030,12 +26099,12 @@ static void tetcasti_rbf_group_draw(tetcasti_rbf_picture *t, uint32_t tile, uint
     float depth[8], rgba[4];
     uint32_t l;
     const int met = tetcasti_rbf_group_open(t, x, y, &g);
+    if (t->desc->clip == NULL && t->desc->limit == NULL && !(t->desc->clip_near > 0.0f || t->desc->clip_far > 0.0f))
+        spans = NULL;
     if (met) {
         tetcasti_rbf_group_values(t, &g, tile, rows, stride, count + 2);
-        if (t->desc->clip != NULL || t->desc->limit != NULL || t->desc->clip_near > 0.0f || t->desc->clip_far > 0.0f) {
-            tetcasti_rbf_spans_open(t, &g, x, y, spans);
-            tetcasti_rbf_march(t, &g, rows, spans, &sum, depth);
-        } else tetcasti_rbf_march(t, &g, rows, NULL, &sum, depth);
+        if (spans != NULL) tetcasti_rbf_spans_open(t, &g, x, y, spans);
+        tetcasti_rbf_march(t, &g, rows, spans, &sum, depth);
     } else g.lanes = 0;
     for (l = 0; l < 8; l++) {
         const uint32_t px = x + (l & 3u) - t->desc->part[0], py = y + (l >> 2) - t->desc->part[1];
@@ -26057,7 +26126,7 @@ static void tetcasti_rbf_group_draw(tetcasti_rbf_picture *t, uint32_t tile, uint
                 z += (double)g.d[a][l] * t->m->scale[a] * t->frame.forward[a];
             depth[l] = (float)(((double)g.start[l] / (double)g.world[l] + (double)depth[l]) * z);
         }
-        tetcasti_rbf_pixel(t, px, py, rgba, depth[l], (g.out[l] - g.in[l]) * g.world[l]);
+        tetcasti_rbf_pixel(t, px, py, rgba, depth[l], tetcasti_rbf_way(&g, spans, l) * g.world[l]);
         count[0]++;
         count[1] += (uint64_t)((g.out[l] - g.in[l]) / g.h) + 2;
     }

@@ -4270,6 +4270,197 @@ TEST(shaded_meshes_of_any_size) {
         }
 }
 
+/* A lattice of ones with a side of one node: as thick as its spacing there, whatever side it is seen from, and framed with that. */
+TEST(thin_layers) {
+    enum { W = 7, H = 5 };
+    static const float one[81] = {
+        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
+        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+    static float rgba[2][W * H * 4], length[2][W * H];
+    uint32_t axis, side, isa, i, a;
+    for (axis = 0; axis < 3; axis++)
+        for (side = 0; side < 4; side++) { /* two with rays along the axis, two at an angle */
+            tetcast_bricks_desc bd;
+            tetcast_brick_render_desc d;
+            tetcast_lattice l;
+            tetcast_array values;
+            tetcast_bricks *b = NULL;
+            tetcast_cut *cut = NULL;
+            tetcast_optics *o = flat_optics(1.0f, TETCAST_MODEL_VOLUME);
+            tetcast_image image;
+            const double slant = side < 2 ? 0.0 : 0.75;
+            memset(&bd, 0, sizeof bd); memset(&d, 0, sizeof d); memset(&l, 0, sizeof l);
+            memset(&values, 0, sizeof values); memset(&image, 0, sizeof image);
+            for (a = 0; a < 3; a++) {
+                l.dims[a] = a == axis ? 1 : 9;
+                l.spacing[a] = a == axis ? 0.3 : 1.0;
+                d.camera.eye[a] = d.camera.at[a] = a == axis ? 0.0 : 4.1;
+            }
+            d.camera.eye[axis] = side & 1 ? -8.0 : 8.0;
+            d.camera.eye[(axis + 1) % 3] += 8.0 * slant;
+            d.camera.ortho_height = 1.0f;
+            values.data = one;
+            bd.log_cells = 3;
+            CHECK_EQ_U64(tetcast_bricks_create_grid(&bd, &l, &values, NULL, &b), TETCAST_OK);
+            CHECK_EQ_U64(tetcast_cut_create(NULL, b, &cut), TETCAST_OK);
+            image.width = W;
+            image.height = H;
+            for (isa = 0; isa < 2; isa++) {
+                image.rgba = rgba[isa];
+                image.length = length[isa];
+                d.isa = isa ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+                CHECK_EQ_U64(tetcast_render_bricks(&d, cut, o, &image, NULL), TETCAST_OK);
+            }
+            CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0 && memcmp(length[0], length[1], sizeof length[0]) == 0);
+            for (i = 0; i < W * H; i++) {
+                const double want = 0.3 * sqrt(1.0 + slant * slant);
+                CHECK_NEAR((double)length[0][i], want, 1e-6);
+                CHECK_NEAR((double)rgba[0][4 * i + 3], 1.0 - exp(-want), 1e-5);
+            }
+            tetcast_cut_destroy(cut);
+            tetcast_bricks_destroy(b);
+            for (a = 0; a < 3; a++) { /* one node: the camera has it in the middle, whatever its size */
+                l.dims[a] = 1;
+                l.spacing[a] = side == 0 ? 1.0 : side == 1 ? 1e-12 : 1e12;
+            }
+            CHECK_EQ_U64(tetcast_bricks_create_grid(&bd, &l, &values, NULL, &b), TETCAST_OK);
+            CHECK_EQ_U64(tetcast_cut_create(NULL, b, &cut), TETCAST_OK);
+            memset(&d, 0, sizeof d);
+            CHECK_EQ_U64(tetcast_render_bricks(&d, cut, o, &image, NULL), TETCAST_OK);
+            CHECK((double)length[1][W * H / 2] > 0.9 * l.spacing[0] && length[1][0] == 0.0f && length[1][W * H - 1] == 0.0f);
+            tetcast_cut_destroy(cut);
+            tetcast_bricks_destroy(b);
+            tetcast_optics_destroy(o);
+        }
+}
+
+static void place_shade(void *user, const tetcast_packet *in, float rgba[4][8]) { /* the field is x */
+    double *worst = (double *)user;
+    int i;
+    (void)rgba;
+    for (i = 0; i < 8; i++)
+        if (in->mask >> i & 1u) {
+            worst[0] = fmax(worst[0], fabs((double)in->position[0][i] - 0.5 * ((double)in->front[i] + (double)in->back[i])));
+            worst[1] += 1.0;
+        }
+}
+
+TEST(places_for_shaders_from_far_away) {
+    enum { N = 9, W = 6, H = 6 };
+    static float v[N * N * N], rgba[W * H * 4];
+    tetcast_bricks_desc bd;
+    tetcast_lattice l;
+    tetcast_array values;
+    tetcast_bricks *b = NULL;
+    tetcast_cut *cut = NULL;
+    tetcast_shader s;
+    double worst[2] = {0.0, 0.0}, away;
+    uint32_t i, isa;
+    memset(&bd, 0, sizeof bd); memset(&l, 0, sizeof l); memset(&values, 0, sizeof values); memset(&s, 0, sizeof s);
+    for (i = 0; i < N * N * N; i++) v[i] = 0.125f * (float)(i % N);
+    for (i = 0; i < 3; i++) {
+        l.dims[i] = N;
+        l.spacing[i] = 0.125;
+    }
+    values.data = v;
+    bd.log_cells = 3;
+    CHECK_EQ_U64(tetcast_bricks_create_grid(&bd, &l, &values, NULL, &b), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_cut_create(NULL, b, &cut), TETCAST_OK);
+    s.user = worst;
+    s.needs = TETCAST_NEED_POSITION;
+    s.shade_fn = place_shade;
+    for (away = 1e2; away < 2e8; away *= 1e2)
+        for (isa = 0; isa < 2; isa++) {
+            tetcast_brick_render_desc d;
+            tetcast_image image;
+            memset(&d, 0, sizeof d); memset(&image, 0, sizeof image);
+            for (i = 0; i < 3; i++) {
+                d.camera.at[i] = 0.5;
+                d.camera.eye[i] = 0.5 + away * (i == 0 ? 1.0 : 0.3 * i);
+            }
+            d.camera.ortho_height = 1.0f;
+            d.env.thread_count = 1;
+            d.isa = isa ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+            d.shader = &s;
+            image.width = W;
+            image.height = H;
+            image.rgba = rgba;
+            CHECK_EQ_U64(tetcast_render_bricks(&d, cut, NULL, &image, NULL), TETCAST_OK);
+        }
+    CHECK_MSG(worst[0] < 2e-6 && worst[1] > 1000.0, "%g, %g segments", worst[0], worst[1]);
+    tetcast_cut_destroy(cut);
+    tetcast_bricks_destroy(b);
+}
+
+/* What lies within the radius is of the finest level, down to radii less than a brick. */
+TEST(levels_near_the_focus) {
+    enum { N = 65 };
+    static float v[N * N * N];
+    tetcast_bricks_desc bd;
+    tetcast_bricks_info info;
+    tetcast_lattice l;
+    tetcast_array values;
+    tetcast_bricks *b = NULL;
+    test_rng r = test_rng_make(8);
+    uint32_t t, i, k;
+    memset(&bd, 0, sizeof bd); memset(&l, 0, sizeof l); memset(&values, 0, sizeof values);
+    for (i = 0; i < N * N * N; i++) v[i] = test_rng_float(&r);
+    for (k = 0; k < 3; k++) {
+        l.dims[k] = N;
+        l.spacing[k] = 1.0 / 64.0;
+    }
+    values.data = v;
+    bd.log_cells = 3;
+    CHECK_EQ_U64(tetcast_bricks_create_grid(&bd, &l, &values, NULL, &b), TETCAST_OK);
+    tetcast_bricks_get_info(b, &info);
+    for (t = 0; t < 20; t++) {
+        tetcast_cut_desc cd;
+        tetcast_cut *cut = NULL;
+        const uint8_t *level;
+        memset(&cd, 0, sizeof cd);
+        for (k = 0; k < 3; k++) cd.focus[k] = test_rng_double(&r);
+        cd.focus_radius = 0.01 + 0.02 * t;
+        CHECK_EQ_U64(tetcast_cut_create(&cd, b, &cut), TETCAST_OK);
+        level = tetcast_cut_levels(cut);
+        for (i = 0; i < info.slots[0] * info.slots[1] * info.slots[2]; i++) {
+            double way = 0.0;
+            const uint32_t at[3] = {i % info.slots[0], i / info.slots[0] % info.slots[1], i / info.slots[0] / info.slots[1]};
+            for (k = 0; k < 3; k++) way += pow(fmax(fmax(0.125 * at[k] - cd.focus[k], cd.focus[k] - 0.125 * (at[k] + 1)), 0.0), 2.0);
+            CHECK_EQ_U64(level[i], (uint32_t)fmin(sqrt(way) / cd.focus_radius, (double)info.levels - 1.0));
+        }
+        tetcast_cut_destroy(cut);
+    }
+    tetcast_bricks_destroy(b);
+}
+
+TEST(planes_of_any_size) {
+    double size;
+    for (size = 1e-90; size < 2e90; size *= 1e10) {
+        tetcast_mesh *mesh = cube_of_size(size);
+        tetcast_plane plane;
+        tetcast_section cut;
+        float out[16];
+        uint32_t k, i;
+        REQUIRE(mesh != NULL);
+        for (k = 0; k < 3; k++) { /* directions as long as the mesh, or units */
+            memset(&plane, 0, sizeof plane);
+            plane.u[0] = k ? 1.0 : size;
+            plane.v[1] = k > 1 ? 1.0 : size;
+            plane.origin[0] = plane.origin[1] = -0.5 * size;
+            plane.origin[2] = 0.1 * size;
+            CHECK_EQ_U64(tetcast_plane_section(NULL, mesh, &plane, &cut), TETCAST_OK);
+            CHECK_NEAR(cut.area / size / size, 1.0, 1e-6);
+            tetcast_section_free(&cut);
+            CHECK_EQ_U64(tetcast_plane_sample(NULL, mesh, &plane, 4, 4, out), TETCAST_OK);
+            for (i = 0; i < 16 && k == 0; i++) /* 0.5 + 0.01 (x + 3 y + 9 z), nodes apart by half of the size */
+                CHECK_NEAR((double)out[i], 0.5 + 0.02 * ((i % 4 + 0.5) / 4.0 + 3.0 * (i / 4 + 0.5) / 4.0 + 9.0 * 0.6), 1e-5);
+        }
+        CHECK_EQ_U64(tetcast_plane_sample(NULL, mesh, &plane, 0, 5, NULL), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_plane_sample(NULL, mesh, &plane, 1, 5, NULL), TETCAST_ERR_INVALID_ARG);
+        tetcast_mesh_destroy(mesh);
+    }
+}
+
 /* Bodies as large as they may be, and planes whose normals are: as those of size 1. */
 TEST(clips_of_any_size) {
     static const double sizes[] = {1.0, 1e90, 1e110, 1e149};
@@ -5032,6 +5223,10 @@ int main(int argc, char **argv) {
     RUN(shaded_depth_of_flat_cells);
     RUN(shaded_from_far_away);
     RUN(shaded_meshes_of_any_size);
+    RUN(thin_layers);
+    RUN(places_for_shaders_from_far_away);
+    RUN(levels_near_the_focus);
+    RUN(planes_of_any_size);
     RUN(clips_of_any_size);
     RUN(refined_grids);
     RUN(refinement_ratios);

@@ -828,7 +828,8 @@ TEST(welded_blocks) { /* two blocks that share a side by position only become on
     tetcast_report r;
     tetcast_check c;
     tetcast_mesh *m;
-    size_t i, first;
+    double place[3 * 128];
+    size_t i, first, round;
     memset(&t, 0, sizeof t);
     tets_lattice(&t, 4, 4, 4, 6, NULL);
     first = t.nv;
@@ -847,6 +848,15 @@ TEST(welded_blocks) { /* two blocks that share a side by position only become on
     CHECK_EQ_U64(tetcast_mesh_check(m, NULL, &c), TETCAST_OK);
     CHECK_EQ_U64(c.components, 1);
     tetcast_mesh_destroy(m);
+    memcpy(place, t.p, sizeof(double) * 3 * t.nv);
+    for (round = 0; round < 5; round++) { /* far away, and where floats are zero or infinite */
+        static const double scale[5] = {1.0, 1e60, 1e-60, 1e-30, 1e60}, offset[5] = {1e9, 0.0, 0.0, 1e9, -1e6};
+        for (i = 0; i < 3 * t.nv; i++) t.p[i] = (place[i] + (i % 3 == round % 3 ? offset[round] : 0.0)) * scale[round];
+        m = tets_build_desc(&t, &d, &r);
+        CHECK_EQ_U64(r.welded, 16);
+        CHECK_EQ_U64(r.hull_faces, 2 * 108 - 2 * 18);
+        tetcast_mesh_destroy(m);
+    }
     tets_free(&t);
 }
 

@@ -1615,6 +1615,61 @@ static void features(const double j[9], tetcast_flow *f) {
     tetcast_flow_features(v, g, f);
 }
 
+/* Clipped from any distance: what is left of a constant in a cube is known, and so is its length. */
+TEST(clipped_from_far_away) {
+    enum { W = 6, H = 5 };
+    static float rgba[W * H * 4], length[W * H];
+    tetcast_control_point point;
+    tetcast_transfer_desc td;
+    tetcast_transfer *transfer = NULL;
+    tetcast_optics *o = NULL;
+    tetcast_clip_plane plane;
+    tetcast_clip_desc cd;
+    tetcast_clip *clip = NULL;
+    tetcast_rbf_desc rd;
+    tetcast_rbf *m;
+    double away;
+    uint32_t i;
+    memset(&td, 0, sizeof td); memset(&cd, 0, sizeof cd); memset(&plane, 0, sizeof plane); memset(&point, 0, sizeof point);
+    point.extinction = 1.0f;
+    td.points = &point;
+    td.point_count = 1;
+    CHECK_EQ_U64(tetcast_transfer_create(&td, &transfer), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_optics_create(transfer, NULL, &o), TETCAST_OK);
+    plane.normal[0] = 1.0;
+    plane.offset = 0.4;
+    cd.planes = &plane;
+    cd.plane_count = 1;
+    CHECK_EQ_U64(tetcast_clip_create(&cd, &clip), TETCAST_OK);
+    memset(&rd, 0, sizeof rd);
+    for (i = 0; i < 3; i++) rd.box_max[i] = 1.0;
+    rd.components = 1;
+    m = make(&rd);
+    REQUIRE(m != NULL && o != NULL && clip != NULL);
+    for (away = 2.0; away < 1e9; away *= 8.0) {
+        tetcast_rbf_render_desc d;
+        tetcast_image image;
+        memset(&d, 0, sizeof d); memset(&image, 0, sizeof image);
+        for (i = 0; i < 3; i++) d.camera.eye[i] = d.camera.at[i] = 0.5;
+        d.camera.eye[0] += away;
+        d.camera.ortho_height = 0.5f;
+        d.clip = clip;
+        image.width = W;
+        image.height = H;
+        image.rgba = rgba;
+        image.length = length;
+        CHECK_EQ_U64(tetcast_rbf_render(&d, m, o, &image, NULL), TETCAST_OK);
+        for (i = 0; i < W * H; i++) {
+            CHECK_NEAR((double)length[i], 0.6, 1e-5);
+            CHECK_NEAR((double)rgba[4 * i + 3], 1.0 - exp(-0.6), 1e-5);
+        }
+    }
+    tetcast_clip_destroy(clip);
+    tetcast_optics_destroy(o);
+    tetcast_transfer_destroy(transfer);
+    tetcast_rbf_destroy(m);
+}
+
 /* A mean that is far less than the largest error: weights are as fine as that takes, in files as well. */
 TEST(means_far_below_the_largest_error) {
     enum { N = 300 };
@@ -2786,6 +2841,7 @@ int main(int argc, char **argv) {
     RUN(odd_data);
     RUN(data_of_any_size);
     RUN(means_far_below_the_largest_error);
+    RUN(clipped_from_far_away);
     RUN(flows);
     RUN(traces);
     RUN(traces_in_functions);
