@@ -130,6 +130,10 @@
    colours of a tree          1 GB of indices, as a rule 0 to 2 bytes a cell; cells of all levels with one: 2^32 - 1
    threads                    64
    lights, geometry, rays     as many as memory holds
+   distances                  rays at instances: up to 10^4 sizes of the geometry from where they begin, as they are
+                              floats in it; beyond, voxels at silhouettes are others. Models of several blocks: up to
+                              10^4 sizes of the model, beyond what stands behind another voxel may be seen. Light of
+                              moving scenes: sizes of what shines, distances to lights from 10^-6 to 10^6 units
    stack                      less than 16 KB in one function, less than 96 KB in all
 
    OPTIONS
@@ -1173,8 +1177,8 @@ typedef struct voxrt_edit_stats { /* out */
    desc    in, NULL: all defaults. What is made comes from the allocator of the model, not from that of desc->env
    stats   out, may be NULL
    Either all of it is done or, with an error, nothing. Boxes with a side, and spheres with a radius, that is not above
-   0 have nothing in them: that is no error. O(voxels of the touched blocks + blocks); threads share the blocks. The
-   result does not depend on them.
+   0 have nothing in them: that is no error. Centres on a face of a box are in or out by rounding. O(voxels of the
+   touched blocks + blocks); threads share the blocks. The result does not depend on them.
    Errors: INVALID_ARG (also numbers that are not finite), UNINIT_DESC, RANGE (2^24 blocks for a box or sphere to fill,
    2^32 - 1 triangles, triangles and a depth over 16, more than 255 finishes), NO_MEMORY, CANCELLED. Thread safety:
    nobody else may use the model meanwhile; its copies are models of their own. */

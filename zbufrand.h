@@ -137,6 +137,8 @@
    levels of references       64
    size                       corners up to 1e15 from the middle of their structure (see ACCURACY), others are left out;
                               surfaces of 1e-34 to 3e38 square units, as areas are floats
+   distance of the eye        10^5 sizes of a structure: from beyond, with a narrow view, its surfaces are off by
+                              pixels, and from 10^7 sizes away they are missing
    samples of a frame         2^32
    picture                    of a scene 32000 a side; of samples 65535 a side and 2^31 pixels
    threads                    64
