@@ -130,10 +130,9 @@
    colours of a tree          1 GB of indices, as a rule 0 to 2 bytes a cell; cells of all levels with one: 2^32 - 1
    threads                    64
    lights, geometry, rays     as many as memory holds
-   distances                  rays at instances: up to 10^4 sizes of the geometry from where they begin, as they are
-                              floats in it; beyond, voxels at silhouettes are others. Models of several blocks: up to
-                              10^4 sizes of the model, beyond what stands behind another voxel may be seen. Light of
-                              moving scenes: sizes of what shines, distances to lights from 10^-6 to 10^6 units
+   distances                  models of several blocks: up to 10^4 sizes of the model; from beyond what stands behind
+                              another voxel may be seen. Light of moving scenes: sizes of what shines and distances to
+                              lights from 10^-6 to 10^6 units
    stack                      less than 16 KB in one function, less than 96 KB in all
 
    OPTIONS
@@ -16596,7 +16595,7 @@ VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float 
 /* ---------------------------------------------------------------------------
    scene: geometry in other places, and many geometries as one.                  // >>scene
    An instance takes rays into the space of its geometry without making their directions unit length again: t is the
-   same in both. A group is a binary tree of boxes, 32 bytes each, in pre-order: objects sorted by the Morton codes of
+   same in both. Rays from far off are moved along in doubles, to a place near its box, and t with them. A group is a binary tree of boxes, 32 bytes each, in pre-order: objects sorted by the Morton codes of
    their centres, halved down to single ones. Runs of rays go through it together, with one bit a ray.
    --------------------------------------------------------------------------- */
 
@@ -16629,14 +16628,45 @@ static int voxrti_affine_invert(const double m[12], double out[12]) {
     return voxrti_finite(o[0]) && voxrti_finite(o[1]) && voxrti_finite(o[2]);
 }
 
-static void voxrti_instance_rays(const voxrt_instance *s, const voxrt_trace_desc *desc, const voxrt_ray *rays,
-                                 size_t count, voxrt_ray *out, voxrt_trace_desc *d) {
+#define VOXRTI_FAR_OFF 64.0 /* sizes of a box; rays from farther off begin anew before it */
+
+/* How far along a ray, in the space of the geometry, it begins anew: a multiple of a power of two, so that neighbours
+   do so together. Doubles up to there, so that its floats are as exact as if it came from nearby. 0: at its origin. */
+static double voxrti_instance_before(const voxrt_geometry *g, const double o[3], const double v[3]) {
+    double size = 0.0, way = 0.0, speed = 0.0, near_t = 0.0, far_t = 1e300, along = 0.0, squares = 0.0, step;
+    uint64_t bits;
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double lo = g->box_min[a] - o[a], hi = g->box_max[a] - o[a];
+        size = voxrti_max(size, g->box_max[a] - g->box_min[a]);
+        way = voxrti_max(way, voxrti_max(lo, -hi));
+        speed = voxrti_max(speed, voxrti_abs(v[a]));
+        along += 0.5 * (lo + hi) * v[a];
+        squares += v[a] * v[a];
+    }
+    if (!(size > 0.0) || !(way > VOXRTI_FAR_OFF * size) || !voxrti_finite(way / speed)) return 0.0;
+    for (a = 0; a < 3; a++) { /* of a box that is a size larger: what rounding does to o and v is far less */
+        const double lo = g->box_min[a] - o[a] - size, hi = g->box_max[a] - o[a] + size;
+        if (v[a] != 0.0) {
+            near_t = voxrti_max(near_t, voxrti_min(lo / v[a], hi / v[a]));
+            far_t = voxrti_min(far_t, voxrti_max(lo / v[a], hi / v[a]));
+        } else if (lo > 0.0 || hi < 0.0) far_t = -1.0;
+    }
+    if (!(near_t < far_t)) near_t = along / squares; /* it passes: from where it is nearest it does so as well */
+    step = 0.5 * VOXRTI_FAR_OFF * size / speed;
+    memcpy(&bits, &step, sizeof bits);
+    bits &= (uint64_t)2047 << 52;
+    memcpy(&step, &bits, sizeof step);
+    if (!(near_t > step) || !(near_t < 1e15 * step)) return near_t > 0.0 && near_t < 1e30 ? near_t : 0.0;
+    return (double)voxrti_floor(near_t / step) * step;
+}
+
+/* Rays in the space of the geometry, and at which t they begin there. */
+static void voxrti_instance_rays(const voxrt_instance *s, const voxrt_ray *rays, size_t count, voxrt_ray *out,
+                                 double *before) {
     size_t i;
     uint32_t a;
     VOXRT_ASSERT(count <= VOXRTI_RUN);
-    *d = *desc;
-    d->cone_width = (float)((double)desc->cone_width / s->_stretch);
-    d->cone_spread = (float)((double)desc->cone_spread / s->_stretch);
     for (i = 0; i < count; i++) {
         double org[3], dir[3], o[3], v[3];
         for (a = 0; a < 3; a++) {
@@ -16645,12 +16675,36 @@ static void voxrti_instance_rays(const voxrt_instance *s, const voxrt_trace_desc
         }
         voxrti_affine(s->_to_object, org, 1.0, o);
         voxrti_affine(s->_to_object, dir, 0.0, v);
+        before[i] = voxrti_instance_before(&s->geometry, o, v);
         out[i] = rays[i];
         for (a = 0; a < 3; a++) {
-            out[i].org[a] = (float)o[a];
+            out[i].org[a] = (float)(o[a] + before[i] * v[a]);
             out[i].dir[a] = (float)v[a];
         }
+        if (!(before[i] > 0.0) || !(rays[i].t_min <= rays[i].t_max)) continue;
+        out[i].t_min = (float)voxrti_max((double)rays[i].t_min - before[i], 0.0);
+        out[i].t_max = (float)voxrti_max((double)rays[i].t_max - before[i], 0.0);
     }
+}
+
+/* Those of the rays in *left that begin at the same t as the first one, out of it; and the cone that they are. */
+static size_t voxrti_instance_some(const voxrt_instance *s, const voxrt_trace_desc *desc, const voxrt_ray *rays,
+                                   const double *before, uint64_t *left, voxrt_ray *some, uint8_t *index,
+                                   voxrt_trace_desc *d) {
+    const double t = before[voxrti_ctz64(*left)];
+    uint64_t mask;
+    size_t n = 0;
+    for (mask = *left; mask != 0; mask &= mask - 1) {
+        const uint32_t k = voxrti_ctz64(mask);
+        if (!(before[k] <= t && before[k] >= t)) continue;
+        *left &= ~((uint64_t)1 << k);
+        index[n] = (uint8_t)k;
+        some[n++] = rays[k];
+    }
+    *d = *desc;
+    d->cone_width = (float)(((double)desc->cone_width + t * (double)desc->cone_spread) / s->_stretch);
+    d->cone_spread = (float)((double)desc->cone_spread / s->_stretch);
+    return n;
 }
 
 /* Normal and face of an object, seen from the world: normals go by the transposed inverse. */
@@ -16682,20 +16736,42 @@ static void voxrti_instance_surface(const voxrt_instance *s, voxrt_surface *surf
 static void voxrti_instance_trace(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays,
                                   voxrt_surface *surfaces, size_t count) {
     const voxrt_instance *s = (const voxrt_instance *)user;
-    voxrt_ray own[VOXRTI_RUN];
+    voxrt_ray own[VOXRTI_RUN], some[VOXRTI_RUN];
+    voxrt_surface found[VOXRTI_RUN];
+    double before[VOXRTI_RUN];
+    uint8_t index[VOXRTI_RUN];
+    uint64_t left = count == 0 ? 0 : ~(uint64_t)0 >> (64 - count);
     voxrt_trace_desc d;
-    size_t i;
-    voxrti_instance_rays(s, desc, rays, count, own, &d);
-    s->geometry.trace_fn(s->geometry.user, &d, own, surfaces, count);
-    for (i = 0; i < count; i++) voxrti_instance_surface(s, &surfaces[i]);
+    voxrti_instance_rays(s, rays, count, own, before);
+    while (left != 0) {
+        const size_t n = voxrti_instance_some(s, desc, own, before, &left, some, index, &d);
+        size_t i;
+        for (i = 0; i < n; i++) found[i] = surfaces[index[i]]; /* misses */
+        s->geometry.trace_fn(s->geometry.user, &d, some, found, n);
+        for (i = 0; i < n; i++) {
+            voxrti_instance_surface(s, &found[i]);
+            if (before[index[i]] > 0.0) found[i].t = (float)((double)found[i].t + before[index[i]]);
+            surfaces[index[i]] = found[i];
+        }
+    }
 }
+
 static void voxrti_instance_occluded(void *user, const voxrt_trace_desc *desc, const voxrt_ray *rays, uint8_t *occluded,
                                      size_t count) {
     const voxrt_instance *s = (const voxrt_instance *)user;
-    voxrt_ray own[VOXRTI_RUN];
+    voxrt_ray own[VOXRTI_RUN], some[VOXRTI_RUN];
+    double before[VOXRTI_RUN];
+    uint8_t index[VOXRTI_RUN], found[VOXRTI_RUN];
+    uint64_t left = count == 0 ? 0 : ~(uint64_t)0 >> (64 - count);
     voxrt_trace_desc d;
-    voxrti_instance_rays(s, desc, rays, count, own, &d);
-    s->geometry.occluded_fn(s->geometry.user, &d, own, occluded, count);
+    voxrti_instance_rays(s, rays, count, own, before);
+    while (left != 0) {
+        const size_t n = voxrti_instance_some(s, desc, own, before, &left, some, index, &d);
+        size_t i;
+        for (i = 0; i < n; i++) found[i] = occluded[index[i]];
+        s->geometry.occluded_fn(s->geometry.user, &d, some, found, n);
+        for (i = 0; i < n; i++) occluded[index[i]] = found[i];
+    }
 }
 
 VOXRT_DEF voxrt_result voxrt_instance_geometry(voxrt_instance *instance, voxrt_geometry *out_geometry) {

@@ -304,6 +304,77 @@ static void any_ray(test_rng *r, float reach, voxrt_ray *q) {
     if (test_rng_below(r, 6) == 0) q->t_min = test_rng_range(r, -1, 2);
 }
 
+/* Rays that come from far off meet an instance as they meet the same tree built there, lines and cones, whoever goes with them. */
+TEST(instances_far_away) {
+    voxrt_voxel thing[300];
+    voxrt_build_desc b;
+    voxrt_tree *t = NULL;
+    test_rng r = test_rng_make(31);
+    double away;
+    uint32_t i, k, a, differ = 0, hits = 0;
+    for (i = 0; i < 300; i++) thing[i] = any_voxel(&r, 16);
+    memset(&b, 0, sizeof b);
+    b.box_size = 1.0;
+    REQUIRE(voxrt_tree_from_voxels(&b, thing, 300, 4, &t) == VOXRT_OK);
+    for (away = 10.0; away < 2e6; away *= 10.0) /* farther, floats aim at corners of the box only */
+        for (k = 0; k < 60; k++) {
+            voxrt_instance s;
+            voxrt_geometry g, there;
+            voxrt_tree *in_place = NULL;
+            voxrt_ray ray[RUN];
+            voxrt_surface one[2], found[2][RUN];
+            uint8_t occluded[2][RUN];
+            voxrt_trace_desc desc;
+            memset(&s, 0, sizeof s);
+            memset(&desc, 0, sizeof desc);
+            for (a = 0; a < 3; a++) {
+                s.to_world[5 * a] = 1.0;
+                s.to_world[4 * a + 3] = b.box_min[a] = floor(away * (double)test_rng_range(&r, -1.0f, 1.0f));
+            }
+            if (k % 4 == 3) {
+                desc.cone_width = 0.01f;
+                desc.cone_spread = (float)(0.1 / away);
+            }
+            REQUIRE(voxrt_tree_from_voxels(&b, thing, 300, 4, &in_place) == VOXRT_OK);
+            voxrt_tree_geometry(t, &s.geometry);
+            voxrt_tree_geometry(in_place, &there);
+            REQUIRE(voxrt_instance_geometry(&s, &g) == VOXRT_OK);
+            memset(ray, 0, sizeof ray);
+            memset(occluded, 0, sizeof occluded);
+            memset(found, 0, sizeof found);
+            for (i = 0; i < RUN; i++) {
+                for (a = 0; a < 3; a++) {
+                    ray[i].dir[a] = (float)(b.box_min[a] + test_rng_double(&r) * (i % 8 == 7 ? 4.0 : 1.0));
+                    if (i % 16 == 5) ray[i].dir[a] = -ray[i].dir[a];
+                    if (i % 16 == 9) ray[i].org[a] = (float)(0.4 * b.box_min[a]);
+                    if (i % 16 == 9) ray[i].dir[a] -= ray[i].org[a];
+                }
+                ray[i].t_min = i % 5 == 4 ? 0.9999f : 0.0f;
+                ray[i].t_max = i % 7 == 6 ? 1.00001f : i % 13 == 12 ? 0.5f : INFINITY;
+                found[0][i].t = found[1][i].t = INFINITY;
+            }
+            g.trace_fn(g.user, &desc, ray, found[0], RUN);
+            g.occluded_fn(g.user, &desc, ray, occluded[0], RUN);
+            there.trace_fn(there.user, &desc, ray, found[1], RUN);
+            there.occluded_fn(there.user, &desc, ray, occluded[1], RUN);
+            for (i = 0; i < RUN; i++) {
+                hits += found[1][i].t < INFINITY;
+                differ += (found[0][i].t < INFINITY) != (found[1][i].t < INFINITY) || memcmp(found[0][i].rgb, found[1][i].rgb, 3) != 0 ||
+                          occluded[0][i] != occluded[1][i];
+                CHECK((occluded[0][i] != 0) == (found[0][i].t < INFINITY));
+                if (found[0][i].t < INFINITY && found[1][i].t < INFINITY)
+                    CHECK_NEAR((double)found[0][i].t, (double)found[1][i].t, 1e-6 + (desc.cone_width > 0 ? 0.5 / away : 0.0));
+                memset(one, 0, sizeof one);
+                one[0].t = INFINITY;
+                g.trace_fn(g.user, &desc, &ray[i], one, 1);
+                CHECK(memcmp(&one[0], &found[0][i], sizeof one[0]) == 0);
+            }
+            voxrt_tree_destroy(in_place);
+        }
+    CHECK_MSG(differ == 0 && hits > 5000, "%u of %u", differ, hits);
+    voxrt_tree_destroy(t);
+}
+
 TEST(an_instance_is_its_ray_in_the_other_space) {
     voxrt_tree *t = ball(4);
     test_rng r = test_rng_make(3);
@@ -612,6 +683,7 @@ int main(int argc, char **argv) {
     RUN(pieces_in_a_group_are_the_whole);
     RUN(instances_are_the_tree_of_their_voxels);
     RUN(an_instance_is_its_ray_in_the_other_space);
+    RUN(instances_far_away);
     RUN(a_group_is_a_loop_over_its_members);
     RUN(groups_of_groups);
     RUN(the_first_of_equals_is_seen);
