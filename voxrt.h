@@ -16595,8 +16595,9 @@ VOXRT_DEF float voxrt_budget_update(voxrt_budget *budget, float frame_ms, float 
 /* ---------------------------------------------------------------------------
    scene: geometry in other places, and many geometries as one.                  // >>scene
    An instance takes rays into the space of its geometry without making their directions unit length again: t is the
-   same in both. Rays from far off are moved along in doubles, to a place near its box, and t with them. A group is a binary tree of boxes, 32 bytes each, in pre-order: objects sorted by the Morton codes of
-   their centres, halved down to single ones. Runs of rays go through it together, with one bit a ray.
+   same in both. Rays from far off are moved along in doubles, to a place near its box, and t with them. A group is a
+   binary tree of boxes, 32 bytes each, in pre-order: objects sorted by the Morton codes of their centres, halved down
+   to single ones. Runs of rays go through it together, with one bit a ray.
    --------------------------------------------------------------------------- */
 
 /* out = 3x4 matrix times (v, w) */
