@@ -12234,7 +12234,10 @@ TETCASTI_INLINE int tetcasti_pixel_live(const tetcasti_painter *p, uint32_t i) {
 
 TETCASTI_INLINE tetcasti_fragment tetcasti_list_get(const tetcasti_painter *p, size_t at) {
     tetcasti_fragment f;
-    memcpy(&f.z0, p->list[at], sizeof p->list[at]);
+    f.z0 = p->list[at][0];
+    f.z1 = p->list[at][1];
+    f.s0 = p->list[at][2];
+    f.s1 = p->list[at][3];
     f.cell = p->list_cell != NULL ? p->list_cell[at] : 0;
     return f;
 }
@@ -12304,7 +12307,10 @@ TETCASTI_INLINE void tetcasti_list_put(tetcasti_painter *p, uint32_t i, const te
         if (!(before[0] > f->z0 || (before[0] == f->z0 && before[1] > f->z1))) break;
         tetcasti_list_move(p, at, at - TETCASTI_SLOT);
     }
-    memcpy(p->list[at], &f->z0, sizeof p->list[at]);
+    p->list[at][0] = f->z0;
+    p->list[at][1] = f->z1;
+    p->list[at][2] = f->s0;
+    p->list[at][3] = f->s1;
     if (p->list_cell != NULL) p->list_cell[at] = f->cell;
 }
 
@@ -15291,9 +15297,10 @@ static uint32_t tetcasti_view_clip(double p[5][3], double s[5], uint32_t n, doub
         }
         if (count == 5) break;
     }
+    if (count < 3) return 0;
     memcpy(p, q, count * sizeof q[0]);
     memcpy(s, t, count * sizeof t[0]);
-    return count < 3 ? 0 : count;
+    return count;
 }
 
 TETCAST_DEF tetcast_result tetcast_plane_view(const tetcast_env *env, const tetcast_mesh *mesh,
@@ -22853,8 +22860,10 @@ TETCASTI_INLINE void tetcasti_fit_row_sums(const tetcast_kernel kernel, const te
     }
 }
 TETCASTI_INLINE void tetcasti_fit_row_apply(const tetcast_kernel kernel, const tetcasti_fit *t,
-                                            const tetcasti_rbf_record *r, uint32_t from, uint32_t to) {
+                                            const tetcasti_rbf_record *r, uint32_t from, uint32_t to,
+                                            const tetcasti_fit_sums *s) {
     uint32_t i, c;
+    (void)s;
     for (i = from; i < to; i++) {
         const float dx = t->x[i] - r->c[0], dy = t->y[i] - r->c[1], dz = t->z[i] - r->c[2];
         const float phi = tetcasti_rbf_phi(kernel, r, tetcasti_rbf_d2(r, dx, dy, dz), NULL);
@@ -22894,10 +22903,11 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_sums8(const tetcast_k
     _mm256_storeu_ps(s->gg, gg);
 }
 TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_apply8(const tetcast_kernel kernel, const tetcasti_fit *t,
-        const tetcasti_rbf_record *r, uint32_t from, uint32_t to) {
+        const tetcasti_rbf_record *r, uint32_t from, uint32_t to, const tetcasti_fit_sums *s) {
     const __m256 cx = _mm256_set1_ps(r->c[0]), cy = _mm256_set1_ps(r->c[1]), cz = _mm256_set1_ps(r->c[2]);
     const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     uint32_t i, c;
+    (void)s;
     for (i = from; i < to; i += 8) {
         const __m256i k = _mm256_cmpgt_epi32(_mm256_set1_epi32((int32_t)(to - i)), lane);
         const __m256 dx = _mm256_sub_ps(_mm256_maskload_ps(t->x + i, k), cx);
@@ -22912,43 +22922,30 @@ TETCASTI_TARGET_AVX2 TETCASTI_INLINE void tetcasti_fit_row_apply8(const tetcast_
 }
 #endif
 
-#define TETCASTI_FIT_EACH_ROW(row_fn, kernel, extra) do { \
+/* fit_sums and fit_apply, which changes no sums: a row function on each row in reach, compiled for each kernel. */
+#define TETCASTI_FIT_EACH_ROW(row_fn, kernel) do { \
     for (k = rows->lo[2]; k <= rows->hi[2]; k++) \
         for (j = rows->lo[1]; j <= rows->hi[1]; j++) { \
             const size_t row = ((size_t)k * t->bins[1] + j) * t->bins[0]; \
             const uint32_t from = t->start[row + rows->lo[0]], to = t->start[row + rows->hi[0] + 1]; \
-            row_fn(kernel, t, r, from, to extra); \
+            row_fn(kernel, t, r, from, to, s); \
         } } while (0)
-#define TETCASTI_FIT_COMMA_S , s
-#define TETCASTI_FIT_NOTHING
-#define TETCASTI_FIT_LOOPS(suffix, target, sums, apply) \
-    target static void tetcasti_fit_sums_##suffix(const tetcasti_fit *t, const tetcasti_rbf_record *r, \
-                                                  const tetcasti_fit_rows *rows, tetcasti_fit_sums *s) { \
+#define TETCASTI_FIT_LOOP(name, target, row_fn) \
+    target static void name(const tetcasti_fit *t, const tetcasti_rbf_record *r, const tetcasti_fit_rows *rows, \
+                            tetcasti_fit_sums *s) { \
         uint32_t j, k; \
         switch (t->m->kernel) { \
-        case TETCAST_KERNEL_GAUSS: TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_GAUSS, TETCASTI_FIT_COMMA_S); break; \
-        case TETCAST_KERNEL_WENDLAND2: \
-            TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_WENDLAND2, TETCASTI_FIT_COMMA_S); break; \
-        case TETCAST_KERNEL_WENDLAND4: \
-            TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_WENDLAND4, TETCASTI_FIT_COMMA_S); break; \
-        default: TETCASTI_FIT_EACH_ROW(sums, TETCAST_KERNEL_POWER, TETCASTI_FIT_COMMA_S); break; \
-        } \
-    } \
-    target static void tetcasti_fit_apply_##suffix(const tetcasti_fit *t, const tetcasti_rbf_record *r, \
-                                                   const tetcasti_fit_rows *rows) { \
-        uint32_t j, k; \
-        switch (t->m->kernel) { \
-        case TETCAST_KERNEL_GAUSS: TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_GAUSS, TETCASTI_FIT_NOTHING); break; \
-        case TETCAST_KERNEL_WENDLAND2: \
-            TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_WENDLAND2, TETCASTI_FIT_NOTHING); break; \
-        case TETCAST_KERNEL_WENDLAND4: \
-            TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_WENDLAND4, TETCASTI_FIT_NOTHING); break; \
-        default: TETCASTI_FIT_EACH_ROW(apply, TETCAST_KERNEL_POWER, TETCASTI_FIT_NOTHING); break; \
+        case TETCAST_KERNEL_GAUSS: TETCASTI_FIT_EACH_ROW(row_fn, TETCAST_KERNEL_GAUSS); break; \
+        case TETCAST_KERNEL_WENDLAND2: TETCASTI_FIT_EACH_ROW(row_fn, TETCAST_KERNEL_WENDLAND2); break; \
+        case TETCAST_KERNEL_WENDLAND4: TETCASTI_FIT_EACH_ROW(row_fn, TETCAST_KERNEL_WENDLAND4); break; \
+        default: TETCASTI_FIT_EACH_ROW(row_fn, TETCAST_KERNEL_POWER); break; \
         } \
     }
-TETCASTI_FIT_LOOPS(scalar, TETCASTI_UNUSED, tetcasti_fit_row_sums, tetcasti_fit_row_apply)
+TETCASTI_FIT_LOOP(tetcasti_fit_sums_scalar, TETCASTI_UNUSED, tetcasti_fit_row_sums)
+TETCASTI_FIT_LOOP(tetcasti_fit_apply_scalar, TETCASTI_UNUSED, tetcasti_fit_row_apply)
 #if TETCASTI_AVX2
-TETCASTI_FIT_LOOPS(avx2, TETCASTI_TARGET_AVX2, tetcasti_fit_row_sums8, tetcasti_fit_row_apply8)
+TETCASTI_FIT_LOOP(tetcasti_fit_sums_avx2, TETCASTI_TARGET_AVX2, tetcasti_fit_row_sums8)
+TETCASTI_FIT_LOOP(tetcasti_fit_apply_avx2, TETCASTI_TARGET_AVX2, tetcasti_fit_row_apply8)
 #endif
 
 static double tetcasti_fit_total(const float v[8]) {
@@ -23014,10 +23011,10 @@ static void tetcasti_fit_apply(tetcasti_fit *t, const tetcasti_fit_function *f, 
     if (sign < 0) for (c = 0; c < TETCAST_RBF_MAX_COMPONENTS; c++) r.w[c] = -r.w[c];
     tetcasti_fit_reach(t, &r, &rows);
 #if TETCASTI_AVX2
-    if (t->isa >= TETCAST_ISA_AVX2) tetcasti_fit_apply_avx2(t, &r, &rows);
+    if (t->isa >= TETCAST_ISA_AVX2) tetcasti_fit_apply_avx2(t, &r, &rows, NULL);
     else
 #endif
-    tetcasti_fit_apply_scalar(t, &r, &rows);
+    tetcasti_fit_apply_scalar(t, &r, &rows, NULL);
     if (sign > 0) tetcasti_fit_look(t, &rows);
 }
 
