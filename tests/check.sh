@@ -394,7 +394,7 @@ group_link() {
         item "link $n two STATIC clang++" link_static $n clang++ "-x c++ -std=c++17"
     done
     item "link golden results g++ c++20" golden_cxx g++ c++20
-    item "link golden results clang++ c++17" golden_cxx clang++ c++17
+    [ -n "$SHORT" ] || item "link golden results clang++ c++17" golden_cxx clang++ c++17
 }
 
 # --- symbols: what an object exports and needs; mutable data; stack ----------------------------------------------
