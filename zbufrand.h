@@ -7608,7 +7608,7 @@ static int zbufrandi_ray_enter(zbufrandi_ray_local *l, const zbufrandi_structure
         const double at = o[a] + d[a] * l->shift;
         const float df = (float)d[a];
         l->o[a] = (float)at;
-        l->rest[a] = l->before[a] = l->after[a] = (float)(at - (double)l->o[a]);
+        l->rest[a] = l->before[a] = l->after[a] = (float)(at - zbufrandi_rounded(at));
         l->negative[a] = df < 0.0f;
         if (zbufrandi_absf(df) >= 1.0f / ZBUFRANDI_RAY_HUGE) {
             l->inverse[a] = 1.0f / df;
@@ -8568,7 +8568,7 @@ static void zbufrandi_local_finish(zbufrandi_local *l) {
         for (k = 0; k < 3; k++) eye -= l->to_camera[k][a] * l->to_camera[k][3];
         eye *= inverse;
         l->eye[a] = (float)eye;
-        l->eye_low[a] = (float)(eye - (double)l->eye[a]);
+        l->eye_low[a] = (float)(eye - zbufrandi_rounded(eye));
     }
     for (a = 0; a < 3; a++) {
         double rest = l->to_camera[a][3];

@@ -429,9 +429,9 @@ roundings_kept() { # DUMPS: removes them
         END { exit bad }' || rc=1
     rm -f "$1".[123]; return $rc
 }
-roundings_kept_O3() { # NAME
-    local d=$OUT/tu/$1/slp.$BASHPID
-    cmd gcc -std=c99 -O3 $WARN_C -ffp-contract=off -I. $(slp_dumps "$d") -c -o /dev/null "$OUT/tu/$1/impl.c" && roundings_kept "$d"
+roundings_kept_O3() { # NAME FLAGS...: 256 bits make other pairs than 128
+    local d=$OUT/tu/$1/slp.$BASHPID n=$1; shift
+    cmd gcc -std=c99 -O3 "$@" $WARN_C -ffp-contract=off -I. $(slp_dumps "$d") -c -o /dev/null "$OUT/tu/$n/impl.c" && roundings_kept "$d"
 }
 group_symbols() {
     local n P libm all
@@ -445,6 +445,7 @@ group_symbols() {
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
         item "symbols $n roundings to float are kept" roundings_kept_O3 $n
+        item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
         item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
 }
