@@ -284,7 +284,7 @@ group_options() {
 }
 
 # --- matrix: compilers, standards, options; zero warnings --------------------------------------------------------
-# SHORT leaves out the standards between the first and the last, pairs of options, each option with clang and with C++,
+# SHORT leaves out of this the standards between the first and the last, pairs of options, each option with clang and with C++,
 # and -march=native; gcc at -O3 is among the symbols.
 
 m32() { # COMPILER FLAGS...
@@ -440,13 +440,13 @@ group_symbols() {
         all="$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm $ALLOW_THREADS"
         item "symbols $n gcc -O2" symbols $n exported "$all" gcc -std=c99 -O2
         item "symbols $n gcc -O0" symbols $n exported "$all" gcc -std=c99 -O0
-        item "symbols $n clang -O1" symbols $n exported "$all" clang -std=c99 -O1
+        [ -n "$SHORT" ] || item "symbols $n clang -O1" symbols $n exported "$all" clang -std=c99 -O1
         item "symbols $n STATIC" symbols $n static "$all" gcc -std=c99 -O0 -D${P}_STATIC
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
         item "symbols $n roundings to float are kept" roundings_kept_O3 $n
         item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
-        item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
+        [ -n "$SHORT" ] || item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
 }
 
@@ -723,7 +723,7 @@ group_programs() {
     done
     # those whose system is installed
     solo "programs peers" make -j"$JOBS" B="$OUT/peers" PEER_CXXFLAGS="-std=c++17 -fsyntax-only -Wall -Wextra -Werror -march=native" peers
-    solo "programs examples" make -j"$JOBS" examples
+    solo "programs examples" make -j"$JOBS" examples ${SHORT:+"OPT=-O1 $STATIC"}
     solo "programs benches" make -j"$JOBS" B="$OUT/benches" OPT=-O1 benches # not those that are to be fast
     solo "programs exit statuses" exit_statuses
     [ -f tetcast.h ] && item "programs bricks' options" bricks_options
