@@ -445,7 +445,7 @@ group_symbols() {
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
         item "symbols $n roundings to float are kept" roundings_kept_O3 $n
-        item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
+        [ "$(uname -m)" != x86_64 ] || item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
         [ -n "$SHORT" ] || item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
 }
