@@ -2,7 +2,7 @@
 #   make CC=clang            another compiler
 #   make B=/tmp/b            another build folder
 #   make CFLAGS="-std=c99 -O3 -ffp-contract=off"
-# A new file in examples/, tests/ or bench/ needs no change here.
+# A new file in examples/, tests/ or bench/ needs no change here; a test of one header a line in tests/all_NAME.c.
 
 CC      ?= cc
 ifeq ($(origin CC),default)
@@ -22,6 +22,7 @@ EXAMPLES  := $(patsubst examples/%.c,$(B)/%,$(wildcard examples/*.c))
 TESTS     := $(patsubst tests/test_%.c,$(B)/tests/test_%,$(wildcard tests/test_*.c))
 BENCHES   := $(patsubst bench/bench_%.c,$(B)/bench_%,$(wildcard bench/bench_*.c))
 REPORT    := $(patsubst bench/%.c,$(B)/%,$(wildcard bench/report.c))
+ALL_TESTS := $(patsubst tests/%.c,$(B)/tests/%,$(wildcard tests/all_*.c))
 PROGRAMS  := $(EXAMPLES) $(TESTS) $(BENCHES) $(REPORT)
 GALLERY   :=
 
@@ -37,7 +38,7 @@ endif
 
 all: $(PROGRAMS)
 examples: $(EXAMPLES)
-tests: $(TESTS)
+tests: $(ALL_TESTS) $(TESTS)
 benches: $(BENCHES) $(REPORT)
 
 # static functions that a program does not use are not compiled: half of the time for a header
@@ -50,13 +51,13 @@ ifeq ($(origin CFLAGS),file)
 $(filter $(B)/minimal_%,$(EXAMPLES)): OPT := -O1 $(STATIC)
 endif
 $(BENCHES): OPT := -O3
-# a test compiles a whole header and runs for a second or two: -Og is the sum's minimum (-O1: a tenth more); gcc takes a
-# seventh of the time to look at indentation, which `make check` does once
+# tests are compiled for as long as they run: -Og is the sum's minimum; gcc takes a seventh of the time to look at
+# indentation, which `make check` does once
 TEST_OPT := $(STATIC)
 ifeq ($(origin CFLAGS),file)
 TEST_OPT += -Og -Wno-misleading-indentation
 endif
-$(TESTS): OPT := $(TEST_OPT)
+$(TESTS) $(ALL_TESTS): OPT := $(TEST_OPT)
 $(B)/tests/test_image: OPT := $(filter-out $(STATIC),$(TEST_OPT)) # declarations alone
 
 COMPILE = @mkdir -p $(@D); echo "$(CC) $<"; \
@@ -70,6 +71,15 @@ $(B)/report: bench/report.c $(B)/.flags
 	$(COMPILE)
 $(B)/tests/%: tests/%.c $(B)/.flags
 	$(COMPILE)
+# tests of a header are one program with many names: the header takes longer to compile than its tests
+# (.exe: how MinGW calls it)
+LINK = @[ ! -f $<.exe ] || cp $<.exe $<; ln -f $< $@
+$(filter $(B)/tests/test_voxrt_%,$(TESTS)): $(B)/tests/all_voxrt
+	$(LINK)
+$(filter $(B)/tests/test_zbufrand_%,$(TESTS)): $(B)/tests/all_zbufrand
+	$(LINK)
+$(filter $(B)/tests/test_tetcast_%,$(TESTS)): $(B)/tests/all_tetcast
+	$(LINK)
 
 # Rebuild everything when the compiler or the flags change.
 FLAGS_NOW := $(CC) $(CFLAGS) $(CPPFLAGS) $(LDFLAGS) $(LDLIBS)
@@ -88,7 +98,7 @@ demo: $(GALLERY)
 
 # long tests are shorter here; make test TEST_QUICK=0, or the group `long` of make check: all of them
 TEST_QUICK ?= 1
-test: $(TESTS)
+test: $(ALL_TESTS) $(TESTS)
 	@TEST_QUICK=$(TEST_QUICK) sh tests/run.sh $(TESTS)
 
 # CHECKS: groups of tests/check.sh, empty: all

@@ -9,7 +9,8 @@ status=0; list=()
 for f in tests/test_*.c; do list+=("$folder/tests/$(basename "$f" .c)"); done
 rm -rf "$folder/gcov"; find "$folder" -name '*.gcda' -delete
 TEST_QUICK=1 sh tests/run.sh "${list[@]}" || status=1
-# each test has its own copy of the header's functions: a line counts as reached when one test reached it
+# each program has its own copy of the header's functions: a line counts as reached when one test reached it
+for f in tests/all_*.c; do list+=("$folder/tests/$(basename "$f" .c)"); done
 for p in "${list[@]}"; do
     d=$folder/gcov/$(basename "$p"); mkdir -p "$d"
     # gcov reads the sources, by names relative to where the compiler ran

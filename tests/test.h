@@ -110,8 +110,15 @@ TEST_FN void test_free(void *p) {
 
 /* ---- running ---------------------------------------------------------------------------------------------- */
 
-#define TEST(name) static void test_fn_##name(void)
-#define RUN(name) test_run(#name, test_fn_##name)
+/* TEST_FILE: the file's name where several are one program, see all_voxrt.c */
+#ifndef TEST_FILE
+#  define TEST_FILE test
+#endif
+#define TEST_PASTE2(a, b) a##_##b
+#define TEST_PASTE(a, b) TEST_PASTE2(a, b)
+#define TEST(name) static void TEST_PASTE(TEST_FILE, fn_##name)(void)
+#define RUN(name) test_run(#name, TEST_PASTE(TEST_FILE, fn_##name))
+#define TEST_MAIN TEST_PASTE(TEST_FILE, main)
 
 #define CHECK(cond) ((cond) ? (void)0 : test_fail(__FILE__, __LINE__, "%s", #cond))
 #define CHECK_MSG(cond, ...) ((cond) ? (void)0 : test_fail(__FILE__, __LINE__, __VA_ARGS__))
@@ -248,6 +255,20 @@ TEST_FN int test_end(void) { /* what main returns */
     printf("\n");
     fflush(stdout);
     return test_g.failed != 0;
+}
+
+typedef struct test_file { const char *name; int (*main_fn)(int, char **); } test_file;
+
+TEST_FN int test_run_file(const test_file *files, int argc, char **argv) { /* the one that the program is called by */
+    const char *name = argv[0], *p;
+    for (p = argv[0]; *p != 0; p++)
+        if (*p == '/' || *p == '\\') name = p + 1;
+    for (; files->name != NULL; files++) {
+        size_t n = strlen(files->name);
+        if (strncmp(name, files->name, n) == 0 && (name[n] == 0 || name[n] == '.')) return files->main_fn(argc, argv);
+    }
+    fprintf(stderr, "%s: to be called by the name of one of its files, as a link\n", argv[0]);
+    return 2;
 }
 
 /* ---- random numbers and hashes ---------------------------------------------------------------------------- */

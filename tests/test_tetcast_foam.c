@@ -523,7 +523,8 @@ TEST(places_beside_a_face) {
 
 enum { W = 70, H = 45 };
 
-static void picture(const tetcast_foam *f, tetcast_render_desc *d, float *rgba, float *depth, float *length, uint32_t *steps, tetcast_render_stats *stats) {
+static void foam_picture(const tetcast_foam *f, tetcast_render_desc *d, float *rgba, float *depth, float *length, uint32_t *steps,
+    tetcast_render_stats *stats) {
     tetcast_image m;
     memset(&m, 0, sizeof m);
     m.width = W;
@@ -552,13 +553,13 @@ TEST(pictures_are_rays) { /* the same bits for any instruction set and number of
     for (a = 0; a < 3; a++) d.camera.at[a] = 0.5;
     d.isa = TETCAST_ISA_SCALAR;
     d.env.thread_count = 1;
-    picture(f, &d, rgba[0][0], depth[0], length[0], steps[0], &stats);
+    foam_picture(f, &d, rgba[0][0], depth[0], length[0], steps[0], &stats);
     CHECK(stats.rays == W * H && stats.hit_rays > 500 && stats.steps > 5000 && stats.isa == TETCAST_ISA_SCALAR);
     for (isa = 0; isa < 5; isa++)
         for (threads = 1; threads < 4; threads++) {
             d.isa = (tetcast_isa)isa;
             d.env.thread_count = threads;
-            picture(f, &d, rgba[1][0], depth[1], length[1], steps[1], NULL);
+            foam_picture(f, &d, rgba[1][0], depth[1], length[1], steps[1], NULL);
             CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0 && memcmp(depth[0], depth[1], sizeof depth[0]) == 0);
             CHECK(memcmp(length[0], length[1], sizeof length[0]) == 0 && memcmp(steps[0], steps[1], sizeof steps[0]) == 0);
         }
@@ -581,10 +582,10 @@ TEST(pictures_are_rays) { /* the same bits for any instruction set and number of
     }
     CHECK(seen > 300);
     d.clip_far = 2.6f; /* what is in front of a plane, and behind it */
-    picture(f, &d, rgba[1][0], NULL, length[1], steps[1], NULL);
+    foam_picture(f, &d, rgba[1][0], NULL, length[1], steps[1], NULL);
     d.clip_near = 2.6f;
     d.clip_far = 0;
-    picture(f, &d, rgba[2][0], NULL, length[2], steps[2], NULL);
+    foam_picture(f, &d, rgba[2][0], NULL, length[2], steps[2], NULL);
     for (i = 0; i < W * H; i++) {
         for (a = 0; a < 4; a++) CHECK_NEAR(rgba[1][i][a] + (1 - rgba[1][i][3]) * rgba[2][i][a], rgba[0][i][a], rgba[0][i][3] > 0.99f ? 0.01 : 2e-5);
         if (rgba[0][i][3] < 0.99f) CHECK_NEAR(length[1][i] + length[2][i], length[0][i], 1e-5);
@@ -614,8 +615,8 @@ TEST(paint) { /* a foam that is painted is one that was made so; what cannot be 
     CHECK(info.duplicates == 149 && info.cell_count == 151 && info.first_duplicate == 151 && info.bad_sites == 0 && info.first_bad == TETCAST_NONE);
     REQUIRE(tetcast_foam_create(&fd, t, 300, &g) == TETCAST_OK);
     CHECK_EQ_U64(tetcast_foam_paint(f, t, 300), TETCAST_OK);
-    picture(f, &d, rgba[0][0], NULL, NULL, NULL, NULL);
-    picture(g, &d, rgba[1][0], NULL, NULL, NULL, NULL);
+    foam_picture(f, &d, rgba[0][0], NULL, NULL, NULL, NULL);
+    foam_picture(g, &d, rgba[1][0], NULL, NULL, NULL, NULL);
     CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
     t[0].extinction = 7;
     t[3].rgb[1] = NAN;
@@ -623,7 +624,7 @@ TEST(paint) { /* a foam that is painted is one that was made so; what cannot be 
     CHECK_EQ_U64(tetcast_foam_paint(f, t, 299), TETCAST_ERR_INVALID_ARG);
     CHECK_EQ_U64(tetcast_foam_paint(f, NULL, 300), TETCAST_ERR_INVALID_ARG);
     CHECK_EQ_U64(tetcast_foam_paint(NULL, t, 300), TETCAST_ERR_INVALID_ARG);
-    picture(f, &d, rgba[0][0], NULL, NULL, NULL, NULL);
+    foam_picture(f, &d, rgba[0][0], NULL, NULL, NULL, NULL);
     CHECK(memcmp(rgba[0], rgba[1], sizeof rgba[0]) == 0);
     tetcast_foam_destroy(f);
     tetcast_foam_destroy(g);

@@ -14,7 +14,7 @@ static tetcast_optics_desc desc_of(tetcast_model model) {
 }
 
 /* A ray of n segments whose values wander about. */
-static void random_ray(test_rng *r, tetcast_segment *s, int n, float longest) {
+static void optical_random_ray(test_rng *r, tetcast_segment *s, int n, float longest) {
     float v = test_rng_float(r), depth = 0.0f;
     int i;
     for (i = 0; i < n; i++) {
@@ -49,7 +49,7 @@ TEST(emission) { /* against the midpoint rule; continuous for equal ends; any or
                 tetcast_segment s[20];
                 float got[4], other[4];
                 double want[3] = {0.0, 0.0, 0.0};
-                random_ray(&r, s, 20, 0.3f);
+                optical_random_ray(&r, s, 20, 0.3f);
                 CHECK(tetcast_optics_ray(o, s, 20, got, NULL) == TETCAST_OK);
                 for (i = 0; i < 20; i++) {
                     for (j = 0; j < 2000; j++) {
@@ -101,7 +101,7 @@ TEST(absorption) {
             tetcast_segment s[50];
             float got[4], other[4];
             double t = 1.0;
-            random_ray(&r, s, 50, 0.05f);
+            optical_random_ray(&r, s, 50, 0.05f);
             CHECK(tetcast_optics_ray(o, s, 50, got, NULL) == TETCAST_OK);
             for (i = 0; i < 50; i++) {
                 double e[4];
@@ -141,7 +141,7 @@ TEST(maximum) { /* ends, knots and the tops of products of two ramps, against ma
                 tetcast_segment s[6], none;
                 float got[4], other[4];
                 double want[3] = {0.0, 0.0, 0.0};
-                random_ray(&r, s, 6, 1.0f);
+                optical_random_ray(&r, s, 6, 1.0f);
                 CHECK(tetcast_optics_ray(o, s, 6, got, NULL) == TETCAST_OK);
                 for (i = 0; i < 6; i++) {
                     for (j = 0; j <= 5000; j++) {
@@ -665,7 +665,7 @@ TEST(units) { /* values and lengths of any size: the picture is that of ordinary
                 float want[4] = {0, 0, 0, 0};
                 tetcast_optics_desc d = desc_of((tetcast_model)models[m]);
                 const tetcast_control_point *p = pick(k & 1, &n);
-                random_ray(&r, s, 20, 0.3f);
+                optical_random_ray(&r, s, 20, 0.3f);
                 for (u = 0; u < 7; u++) {
                     const float value = (float)ldexp(1, units[u][0]), length = (float)ldexp(1, units[u][1]);
                     tetcast_control_point q[40];
@@ -781,7 +781,7 @@ TEST(tolerance_holds) { /* the promised bound against the double reference, for 
             for (rep = 0; rep < (test_quick() ? 10 : 60); rep++) {
                 double want[4] = {0.0, 0.0, 0.0, 1.0};
                 float got[4];
-                random_ray(&r, s, 300, 0.02f); /* at most 6 long, 3 on average */
+                optical_random_ray(&r, s, 300, 0.02f); /* at most 6 long, 3 on average */
                 for (i = 0; i < 300; i++) {
                     double e[4];
                     s[i].length *= 0.5f;

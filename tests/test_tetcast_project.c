@@ -5,7 +5,7 @@
 #include "../bench/baseline/cell_projection.h"
 #include "tets.h"
 
-enum { W = 60, H = 44 };
+enum { PROJECT_W = 60, PROJECT_H = 44 };
 
 typedef struct scene {
     tets t;
@@ -14,12 +14,12 @@ typedef struct scene {
     tetcast_optics *optics;
 } scene;
 
-typedef struct picture {
-    float rgba[H][W][4], depth[H][W], length[H][W];
-    uint32_t steps[H][W];
-} picture;
+typedef struct project_picture {
+    float rgba[PROJECT_H][PROJECT_W][4], depth[PROJECT_H][PROJECT_W], length[PROJECT_H][PROJECT_W];
+    uint32_t steps[PROJECT_H][PROJECT_W];
+} project_picture;
 
-static picture pic[3];
+static project_picture pic[3];
 
 static void scene_optics(scene *s, tetcast_model model, float iso, float strength) {
     static const float points[6][5] = {{0.0f, 1, 0.2f, 0, 0.3f}, {0.3f, 1, 0.8f, 0.1f, 0}, {0.5f, 0, 0, 1, 0},
@@ -114,11 +114,11 @@ static void scene_make(scene *s, int kind) {
 
 static int g_no_depth; /* pictures without depths, surfaces and values per cell are added up eight rays at a time */
 
-static tetcast_image image_of(picture *p) {
+static tetcast_image image_of(project_picture *p) {
     tetcast_image im;
     memset(&im, 0, sizeof im);
-    im.width = W;
-    im.height = H;
+    im.width = PROJECT_W;
+    im.height = PROJECT_H;
     im.rgba = p->rgba[0][0];
     im.depth = g_no_depth ? NULL : p->depth[0];
     im.length = p->length[0];
@@ -126,7 +126,7 @@ static tetcast_image image_of(picture *p) {
     return im;
 }
 
-static tetcast_result draw(const tetcast_render_desc *d, tetcast_method method, const scene *s, picture *p,
+static tetcast_result draw(const tetcast_render_desc *d, tetcast_method method, const scene *s, project_picture *p,
                            tetcast_render_stats *stats) {
     tetcast_image im = image_of(p);
     tetcast_render_desc c = *d;
@@ -163,7 +163,7 @@ static tetcast_render_desc view_of(int view, const scene *s) {
     if (view == VERTEX_ON) look(&d, c[0] + 0.5 * size, c[1] + 0.5 * size, c[2] + 3 * size, c[0] + 0.5 * size, c[1] + 0.5 * size, c[2]);
     if (view == PARALLEL_TILTED) look(&d, c[0] + 1e-6 * size, c[1] - 3e-8 * size, c[2] + 3 * size, c[0], c[1], c[2]);
     if (view == PARALLEL) d.camera.ortho_height = (float)(1.6 * size);
-    if (view == PARALLEL_AXIS || view == PARALLEL_TILTED) d.camera.ortho_height = (float)(size * H / 28.0); /* rays along faces and edges */
+    if (view == PARALLEL_AXIS || view == PARALLEL_TILTED) d.camera.ortho_height = (float)(size * PROJECT_H / 28.0); /* rays along faces and edges */
     if (view == INSIDE) look(&d, c[0] + 0.06 * size, c[1] + 0.04 * size, c[2] + 0.05 * size, c[0] + size, c[1], c[2] - 0.3 * size);
     if (view == ZOOMED) d.camera.fov_y = 1.5f;
     if (view == DISTANT) {
@@ -178,13 +178,13 @@ static tetcast_render_desc view_of(int view, const scene *s) {
 }
 
 /* Largest difference of colours; lengths against the size of the mesh. */
-static double differ(const picture *a, const picture *b, double *length, uint32_t *steps) {
+static double differ(const project_picture *a, const project_picture *b, double *length, uint32_t *steps) {
     double most = 0;
     int x, y, k;
     *length = 0;
     *steps = 0;
-    for (y = 0; y < H; y++)
-        for (x = 0; x < W; x++) {
+    for (y = 0; y < PROJECT_H; y++)
+        for (x = 0; x < PROJECT_W; x++) {
             double e = fabs((double)a->length[y][x] - (double)b->length[y][x]);
             if (!(e <= *length)) *length = e;
             *steps += a->steps[y][x] != b->steps[y][x];
@@ -196,11 +196,11 @@ static double differ(const picture *a, const picture *b, double *length, uint32_
     return most;
 }
 
-static uint32_t fewer(const picture *a, const picture *b) {
+static uint32_t fewer(const project_picture *a, const project_picture *b) {
     uint32_t n = 0;
     int x, y;
-    for (y = 0; y < H; y++)
-        for (x = 0; x < W; x++) n += a->steps[y][x] < b->steps[y][x];
+    for (y = 0; y < PROJECT_H; y++)
+        for (x = 0; x < PROJECT_W; x++) n += a->steps[y][x] < b->steps[y][x];
     return n;
 }
 
@@ -222,7 +222,7 @@ TEST(same_cells_as_a_walk) {
             CHECK_EQ_U64(draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[1], &stats), TETCAST_OK);
             color = differ(&pic[0], &pic[1], &length, &steps);
             if (view == INSIDE || view == CLIPPED) /* a walk begins at the eye's cell or counts what it passes before */
-                CHECK_MSG(steps < W * H / 4 || kind == TANGLED || kind == FLAT || kind == RANDOM_SOUP,
+                CHECK_MSG(steps < PROJECT_W * PROJECT_H / 4 || kind == TANGLED || kind == FLAT || kind == RANDOM_SOUP,
                           "mesh %d view %d: %u pixels with other cells", kind, view, steps);
             else if (kind == TANGLED) /* rings of cells that no walk comes to */
                 CHECK_MSG(fewer(&pic[1], &pic[0]) == 0, "view %d: %u pixels with fewer cells", view, fewer(&pic[1], &pic[0]));
@@ -244,7 +244,7 @@ TEST(same_bits) {
                                             TETCAST_MODEL_MAXIMUM, TETCAST_MODEL_ISOSURFACE, TETCAST_MODEL_MIXED};
     scene s;
     int kind, view, m;
-    for (kind = 0; kind < SCENES; kind += 2) {
+    for (kind = 0; kind < SCENES; kind += test_quick() ? 4 : 2) {
         scene_make(&s, kind);
         for (view = 0; view < VIEWS; view++)
             for (m = view % 3; m < 6; m += 3) {
@@ -383,8 +383,8 @@ TEST(shortcuts) {
     d.method = TETCAST_METHOD_WALK;
     im = image_of(&pic[0]);
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_OK);
-    for (y = 0; y < H; y++)
-        for (x = 0; x < W; x++)
+    for (y = 0; y < PROJECT_H; y++)
+        for (x = 0; x < PROJECT_W; x++)
             for (k = 0; k < 4; k++) CHECK_NEAR(pic[0].rgba[y][x][k], pic[1].rgba[y][x][k], 2e-5);
     scene_free(&s);
 }
@@ -422,18 +422,18 @@ static double ref_value(const double *v[4], const float s[4], const double x[3])
 }
 
 /* Every step-th pixel of p. */
-static void oracle(const tetcast_render_desc *d, const scene *s, int step, picture *p) {
+static void oracle(const tetcast_render_desc *d, const scene *s, int step, project_picture *p) {
     span *list = (span *)malloc((s->t.nt + 1) * sizeof *list);
     tetcast_segment *seg = (tetcast_segment *)malloc((s->t.nt + 1) * sizeof *seg);
     int x, y;
     if (list == NULL || seg == NULL) abort();
-    for (y = 0; y < H; y++)
-        for (x = 0; x < W; x++) {
+    for (y = 0; y < PROJECT_H; y++)
+        for (x = 0; x < PROJECT_W; x++) {
             tetcast_ray r;
             size_t i, n = 0;
             double length = 0;
             if ((x + 7 * y) % step != 0) continue;
-            CHECK_EQ_U64(tetcast_camera_ray(&d->camera, W, H, x + 0.5, y + 0.5, &r), TETCAST_OK);
+            CHECK_EQ_U64(tetcast_camera_ray(&d->camera, PROJECT_W, PROJECT_H, x + 0.5, y + 0.5, &r), TETCAST_OK);
             for (i = 0; i < s->t.nt; i++) {
                 const uint32_t *t = s->t.t + 4 * i;
                 const double *v[4];
@@ -521,7 +521,7 @@ TEST(oracle_pictures) {
 
 TEST(units) { /* lengths and values of any size: the picture is that of ordinary ones, walked and projected, by any instruction set */
     static const int units[6][2] = {{0, 0}, {80, -90}, {-55, 70}, {0, 90}, {0, 120}, {60, -115}}; /* lengths, values: powers of 2 */
-    static picture want[2], got, other;
+    static project_picture want[2], got, other;
     uint32_t u, k, x, y, c, isa, seen = 0;
     for (u = 0; u < 6; u++)
         for (k = 0; k < 2; k++) { /* a volume; with a surface that is shaded smoothly */
@@ -566,8 +566,8 @@ TEST(units) { /* lengths and values of any size: the picture is that of ordinary
             g_no_depth = !k;
             CHECK_EQ_U64(draw(&d, TETCAST_METHOD_WALK, &s, &got, NULL), TETCAST_OK);
             if (u == 0) want[k] = got;
-            for (y = 0; y < H; y++)
-                for (x = 0; x < W; x++)
+            for (y = 0; y < PROJECT_H; y++)
+                for (x = 0; x < PROJECT_W; x++)
                     for (c = 0; c < 4; c++) {
                         seen += want[k].rgba[y][x][c] > 0.1f;
                         CHECK_NEAR(got.rgba[y][x][c], want[k].rgba[y][x][c], 2e-5);
@@ -583,8 +583,8 @@ TEST(units) { /* lengths and values of any size: the picture is that of ordinary
                 if (isa != TETCAST_ISA_SCALAR)
                     CHECK_MSG(memcmp(got.rgba, other.rgba, sizeof got.rgba) == 0, "units %u, model %u, instruction set %u: other bits, projected", u, k, isa);
             }
-            for (y = 0; y < H; y++)
-                for (x = 0; x < W; x++)
+            for (y = 0; y < PROJECT_H; y++)
+                for (x = 0; x < PROJECT_W; x++)
                     for (c = 0; c < 4; c++) CHECK_NEAR(got.rgba[y][x][c], want[k].rgba[y][x][c], 2e-4);
             g_no_depth = 0;
             scene_free(&s);
@@ -721,8 +721,8 @@ TEST(any_bits) {
         scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 1);
         d = view_of(round % VIEWS == CLIPPED ? SLANTED : round % VIEWS, &s);
         if (draw(&d, TETCAST_METHOD_PROJECT, &s, &pic[0], NULL) == TETCAST_OK)
-            for (y = 0; y < H; y++)
-                for (x = 0; x < W; x++)
+            for (y = 0; y < PROJECT_H; y++)
+                for (x = 0; x < PROJECT_W; x++)
                     for (k = 0; k < 4; k++) bad += !(fabsf(pic[0].rgba[y][x][k]) <= 1e6f) || !(pic[0].length[y][x] >= 0);
         CHECK_MSG(bad == 0, "round %d: %d", round, bad);
         scene_free(&s);
@@ -732,15 +732,15 @@ TEST(any_bits) {
 /* ---- forms and orders that are compared with ---- */
 
 static double projection_differ(const projection_way *how, const tetcast_render_desc *d, const scene *s,
-                              const picture *right, projection_report *report, uint32_t *wrong) {
+                              const project_picture *right, projection_report *report, uint32_t *wrong) {
     tetcast_image im = image_of(&pic[2]);
     double most = 0;
     int x, y, k;
     memset(&pic[2], 0, sizeof pic[2]);
     CHECK_EQ_U64(projection_project(how, d, s->mesh, s->optics, &im, report), TETCAST_OK);
     *wrong = 0;
-    for (y = 0; y < H; y++)
-        for (x = 0; x < W; x++) {
+    for (y = 0; y < PROJECT_H; y++)
+        for (x = 0; x < PROJECT_W; x++) {
             double worst = 0;
             for (k = 0; k < 4; k++) worst = fmax(worst, fabs((double)pic[2].rgba[y][x][k] - (double)right->rgba[y][x][k]));
             *wrong += worst > 1e-3;
@@ -824,7 +824,7 @@ TEST(forms) {
     CHECK_MSG(e < 1e-4, "fragment-oriented, parallel: %g", e);
     how.planes = 2;
     e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
-    CHECK_MSG(wrong > W * H / 10, "two planes: %u wrong pixels", wrong);
+    CHECK_MSG(wrong > PROJECT_W * PROJECT_H / 10, "two planes: %u wrong pixels", wrong);
     how.form = PROJECTION_VERTEX;
     how.repair = 2;
     e = projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
@@ -834,8 +834,8 @@ TEST(forms) {
         int x, y;
         how.table = sizes[k];
         (void)projection_differ(&how, &d, &s, &pic[0], &report, &wrong);
-        for (y = 0; y < H; y++)
-            for (x = 0; x < W; x++) sum += fabs((double)pic[2].length[y][x] - (double)pic[0].length[y][x]);
+        for (y = 0; y < PROJECT_H; y++)
+            for (x = 0; x < PROJECT_W; x++) sum += fabs((double)pic[2].length[y][x] - (double)pic[0].length[y][x]);
         CHECK_MSG(sum < before && sum > 1e-2, "table of %u: %g after %g", sizes[k], sum, before);
         before = sum;
     }

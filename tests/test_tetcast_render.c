@@ -7,18 +7,18 @@
 #include "../examples/support/volume.h"
 #include "ray_oracle.h"
 
-enum { W = 70, H = 45 };
+enum { RENDER_W = 70, RENDER_H = 45 };
 
-typedef struct scene {
+typedef struct render_scene {
     tets t;
     tetcast_mesh *mesh;
     tetcast_transfer *transfer;
     tetcast_optics *optics;
-} scene;
+} render_scene;
 
 /* A transfer function with a peak, a jump and an empty stretch, and optionally an isovalue. */
 static int g_more_points; /* 12 control points instead of 6 */
-static void scene_optics(scene *s, tetcast_model model, float iso, float t_min) {
+static void render_scene_optics(render_scene *s, tetcast_model model, float iso, float t_min) {
     static const float points[6][5] = {{0.0f, 1, 0.2f, 0, 0.3f}, {0.3f, 1, 0.8f, 0.1f, 0}, {0.5f, 0, 0, 1, 0},
                                        {0.5f, 0.1f, 0.4f, 1, 0.8f}, {0.6f, 0, 1, 0.3f, 0.1f}, {1, 0.9f, 0.9f, 0.9f, 0.4f}};
     tetcast_control_point p[12];
@@ -55,7 +55,7 @@ static void scene_optics(scene *s, tetcast_model model, float iso, float t_min) 
     CHECK_EQ_U64(tetcast_optics_create(s->transfer, &od, &s->optics), TETCAST_OK);
 }
 
-static void scene_free(scene *s) {
+static void render_scene_free(render_scene *s) {
     tetcast_optics_destroy(s->optics);
     tetcast_transfer_destroy(s->transfer);
     tetcast_mesh_destroy(s->mesh);
@@ -65,20 +65,20 @@ static void scene_free(scene *s) {
 
 static int keep_hole(uint32_t x, uint32_t y, uint32_t z) { return x < 3 || x > 6 || y < 3 || y > 6 || z < 2; }
 
-static void scene_make(scene *s, uint32_t n, int holes, tetcast_cells cells) {
+static void render_scene_make(render_scene *s, uint32_t n, int holes, tetcast_cells cells) {
     memset(s, 0, sizeof *s);
     tets_lattice(&s->t, n, n, n, 5, holes ? keep_hole : NULL);
     tets_jitter(&s->t, n, n, n, 0.5, 3);
     s->mesh = tets_build(&s->t, cells, NULL);
 }
 
-typedef struct picture {
-    float rgba[H][W][4], depth[H][W], length[H][W];
-    uint32_t steps[H][W];
-    uint8_t rgba8[H][W][4];
-} picture;
+typedef struct render_picture {
+    float rgba[RENDER_H][RENDER_W][4], depth[RENDER_H][RENDER_W], length[RENDER_H][RENDER_W];
+    uint32_t steps[RENDER_H][RENDER_W];
+    uint8_t rgba8[RENDER_H][RENDER_W][4];
+} render_picture;
 
-static tetcast_result draw(const tetcast_render_desc *d, const scene *s, uint32_t width, uint32_t height, int aovs, picture *p,
+static tetcast_result render_draw(const tetcast_render_desc *d, const render_scene *s, uint32_t width, uint32_t height, int aovs, render_picture *p,
                            tetcast_render_stats *stats) {
     tetcast_image im;
     memset(&im, 0, sizeof im);
@@ -100,7 +100,7 @@ static tetcast_result draw(const tetcast_render_desc *d, const scene *s, uint32_
     return tetcast_render(d, s->mesh, s->optics, &im, stats);
 }
 
-static void look(tetcast_render_desc *d, double ex, double ey, double ez, double ax, double ay, double az) {
+static void render_look(tetcast_render_desc *d, double ex, double ey, double ez, double ax, double ay, double az) {
     d->camera.eye[0] = ex;
     d->camera.eye[1] = ey;
     d->camera.eye[2] = ez;
@@ -109,14 +109,14 @@ static void look(tetcast_render_desc *d, double ex, double ey, double ez, double
     d->camera.at[2] = az;
 }
 
-static tetcast_render_desc defaults(void) {
+static tetcast_render_desc render_defaults(void) {
     tetcast_render_desc d;
     memset(&d, 0, sizeof d);
     d.env.thread_count = 1;
     return d;
 }
 
-static picture pic[2];
+static render_picture render_pic[2];
 
 /* ---- the same bits ---- */
 
@@ -124,16 +124,16 @@ TEST(same_bits) {
     static const uint32_t threads[4] = {2, 3, 7, 16};
     uint32_t k, i, quick = (uint32_t)test_quick();
     for (k = 0; k < (quick ? 9u : 36u); k++) {
-        scene s;
-        tetcast_render_desc d = defaults();
+        render_scene s;
+        tetcast_render_desc d = render_defaults();
         uint32_t model = k % 6, cells = k % TETCAST_CELLS_COUNT, place = k / 12 % 3;
-        scene_make(&s, 11, k & 1, (tetcast_cells)cells);
+        render_scene_make(&s, 11, k & 1, (tetcast_cells)cells);
         REQUIRE(s.mesh != NULL);
-        scene_optics(&s, (tetcast_model)model, model >= 4 ? 0.45f : -1.0f, 0);
-        if (place == 0) look(&d, 21, 17, -9, 5, 5, 5);
-        if (place == 1) look(&d, 3.2, 1.1, 4.7, 9, 8, 3); /* inside */
+        render_scene_optics(&s, (tetcast_model)model, model >= 4 ? 0.45f : -1.0f, 0);
+        if (place == 0) render_look(&d, 21, 17, -9, 5, 5, 5);
+        if (place == 1) render_look(&d, 3.2, 1.1, 4.7, 9, 8, 3); /* inside */
         if (place == 2) {
-            look(&d, -20, 9, 31, 5, 5, 5);
+            render_look(&d, -20, 9, 31, 5, 5, 5);
             d.camera.ortho_height = 14;
         }
         if (k % 5 == 0) d.clip_near = 6.5f;
@@ -144,14 +144,14 @@ TEST(same_bits) {
         }
         d.background[2] = d.background[3] = 0.5f;
         d.isa = TETCAST_ISA_SCALAR;
-        CHECK_EQ_U64(draw(&d, &s, W, H, k % 3 != 2, &pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, k % 3 != 2, &render_pic[0], NULL), TETCAST_OK);
         for (i = 0; i < 5; i++) {
             d.isa = i == 4 ? TETCAST_ISA_SSE : TETCAST_ISA_AUTO;
             d.env.thread_count = i == 4 ? 1 : threads[i];
-            CHECK_EQ_U64(draw(&d, &s, W, H, k % 3 != 2, &pic[1], NULL), TETCAST_OK);
-            CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "case %u, %u", k, i);
+            CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, k % 3 != 2, &render_pic[1], NULL), TETCAST_OK);
+            CHECK_MSG(memcmp(&render_pic[0], &render_pic[1], sizeof render_pic[0]) == 0, "case %u, %u", k, i);
         }
-        scene_free(&s);
+        render_scene_free(&s);
     }
 }
 
@@ -163,13 +163,13 @@ TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: 
     uint32_t k, i, kind, isa, n, cases = test_quick() ? 8 : 16;
     for (k = 0; k < cases; k++) {
         static const tetcast_isa isas[4] = {TETCAST_ISA_SCALAR, TETCAST_ISA_SSE, TETCAST_ISA_AVX2, TETCAST_ISA_AVX512};
-        scene s;
+        render_scene s;
         tetcast_input in;
         tetcast_field f[2];
         tetcast_mesh_desc md;
         float *value;
         uint8_t *mask;
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         tetcast_render_stats stats;
         uint64_t leapt = 0;
         memset(&s, 0, sizeof s);
@@ -193,10 +193,10 @@ TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: 
         in.field_count = 2;
         if (k % 4 >= 2) in.masks = mask;
         g_more_points = k % 3 == 1 && k % 8 != 7;
-        scene_optics(&s, k % 5 == 4 ? TETCAST_MODEL_MIXED : k % 5 == 3 ? TETCAST_MODEL_ISOSURFACE : TETCAST_MODEL_VOLUME,
+        render_scene_optics(&s, k % 5 == 4 ? TETCAST_MODEL_MIXED : k % 5 == 3 ? TETCAST_MODEL_ISOSURFACE : TETCAST_MODEL_VOLUME,
                      k % 5 >= 3 ? 0.45f : -1.0f, 0);
-        if (k % 3 == 2) look(&d, 3.2, 1.1, 4.7, 9, 8, 3); /* inside */
-        else look(&d, k % 3 == 0 ? 6 : 21, 6, -17, 6, 6, 6); /* in a plane of symmetry, and not */
+        if (k % 3 == 2) render_look(&d, 3.2, 1.1, 4.7, 9, 8, 3); /* inside */
+        else render_look(&d, k % 3 == 0 ? 6 : 21, 6, -17, 6, 6, 6); /* in a plane of symmetry, and not */
         if (k % 4 == 3) {
             d.clip_near = 4.5f;
             d.clip_far = 19.25f;
@@ -210,9 +210,9 @@ TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: 
             for (isa = 0; isa < 4; isa++) {
                 d.isa = isas[isa];
                 memset(&stats, 0, sizeof stats);
-                CHECK_EQ_U64(draw(&d, &s, W, H, k % 8 < 4, &pic[kind != 0 || isa != 0], &stats), TETCAST_OK);
+                CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, k % 8 < 4, &render_pic[kind != 0 || isa != 0], &stats), TETCAST_OK);
                 if (kind == 0 && isa == 0) leapt = stats.leapt_faces;
-                else CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "case %u, form %u, instruction set %u", k, kind, isa);
+                else CHECK_MSG(memcmp(&render_pic[0], &render_pic[1], sizeof render_pic[0]) == 0, "case %u, form %u, instruction set %u", k, kind, isa);
                 CHECK_EQ_U64(stats.leapt_faces, leapt);
             }
             tetcast_mesh_destroy(s.mesh);
@@ -222,7 +222,7 @@ TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: 
         g_more_points = 0;
         free(value);
         free(mask);
-        scene_free(&s);
+        render_scene_free(&s);
     }
 }
 
@@ -231,32 +231,32 @@ TEST(forms) { /* values per cell, masks, holes, clipping, leaping, isosurfaces: 
 TEST(pixels_are_rays) { /* each pixel is what tetcast_cast finds for the camera's ray */
     uint32_t k, x, y, a, wrong = 0;
     for (k = 0; k < 4; k++) {
-        scene s;
-        tetcast_render_desc d = defaults();
-        scene_make(&s, 9, k == 3, TETCAST_CELLS_TET16);
+        render_scene s;
+        tetcast_render_desc d = render_defaults();
+        render_scene_make(&s, 9, k == 3, TETCAST_CELLS_TET16);
         REQUIRE(s.mesh != NULL);
-        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
-        look(&d, 14, 11 + k, -9, 4, 4, 4);
+        render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+        render_look(&d, 14, 11 + k, -9, 4, 4, 4);
         d.camera.up[0] = k == 1;
         d.camera.fov_y = 30 + 20 * (float)k;
         if (k == 2) d.camera.ortho_height = 10;
-        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[0], NULL), TETCAST_OK);
-        for (y = 0; y < H; y++)
-            for (x = 0; x < W; x++) {
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 1, &render_pic[0], NULL), TETCAST_OK);
+        for (y = 0; y < RENDER_H; y++)
+            for (x = 0; x < RENDER_W; x++) {
                 tetcast_ray r;
                 tetcast_ray_result got;
-                CHECK_EQ_U64(tetcast_camera_ray(&d.camera, W, H, x + 0.5, y + 0.5, &r), TETCAST_OK);
+                CHECK_EQ_U64(tetcast_camera_ray(&d.camera, RENDER_W, RENDER_H, x + 0.5, y + 0.5, &r), TETCAST_OK);
                 CHECK_EQ_U64(tetcast_cast(&d, s.mesh, s.optics, &r, 1, &got, NULL), TETCAST_OK);
-                for (a = 0; a < 4; a++) wrong += !(fabsf(got.rgba[a] - pic[0].rgba[y][x][a]) < 2e-5f);
-                wrong += !(fabsf(got.length - pic[0].length[y][x]) < 2e-5f * 9);
+                for (a = 0; a < 4; a++) wrong += !(fabsf(got.rgba[a] - render_pic[0].rgba[y][x][a]) < 2e-5f);
+                wrong += !(fabsf(got.length - render_pic[0].length[y][x]) < 2e-5f * 9);
             }
         CHECK_EQ_U64(wrong, 0);
-        scene_free(&s);
+        render_scene_free(&s);
     }
 }
 
 /* Lengths of all pixels between those in boxes a little smaller and larger. */
-static void check_box_lengths(const tetcast_camera *camera, const picture *p, uint32_t width, uint32_t height, double n, double near_end,
+static void check_box_lengths(const tetcast_camera *camera, const render_picture *p, uint32_t width, uint32_t height, double n, double near_end,
                               double far_end, const char *what) {
     uint32_t x, y, a, wrong = 0, hits = 0;
     double worst = 0;
@@ -290,8 +290,8 @@ static void check_box_lengths(const tetcast_camera *camera, const picture *p, ui
 TEST(million_rays) { /* the way through a box of jittered cells is that through the box */
     enum { SIDE = 1000 };
     uint32_t n = 12, side = test_quick() ? 200 : SIDE, x, y, a, wrong = 0, met = 0;
-    scene s;
-    tetcast_render_desc d = defaults();
+    render_scene s;
+    tetcast_render_desc d = render_defaults();
     tetcast_image im;
     float *length = (float *)malloc(SIDE * SIDE * sizeof *length);
     REQUIRE(length != NULL);
@@ -301,7 +301,7 @@ TEST(million_rays) { /* the way through a box of jittered cells is that through 
     tets_jitter(&s.t, n, n, n, 0.6, 11);
     s.mesh = tets_build(&s.t, TETCAST_CELLS_TET8, NULL);
     REQUIRE(s.mesh != NULL);
-    look(&d, 19, 14, 23, 5.5, 5.5, 5.5);
+    render_look(&d, 19, 14, 23, 5.5, 5.5, 5.5);
     d.camera.fov_y = 32;
     d.traverse_only = 1;
     im.width = im.height = side;
@@ -326,40 +326,40 @@ TEST(million_rays) { /* the way through a box of jittered cells is that through 
     CHECK_MSG(wrong == 0, "%u of %u rays", wrong, met);
     CHECK(met > side * side / 2);
     free(length);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 TEST(symmetric_views) { /* a regular lattice from planes of symmetry, through vertices and edges: no pixel is lost */
     uint32_t k, n = 9;
     for (k = 0; k < 12; k++) {
-        scene s;
-        tetcast_render_desc d = defaults();
+        render_scene s;
+        tetcast_render_desc d = render_defaults();
         char what[32];
         double c = 0.5 * (n - 1);
         memset(&s, 0, sizeof s);
         tets_lattice(&s.t, n, n, n, k & 1 ? 5 : 6, NULL);
         s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
         REQUIRE(s.mesh != NULL);
-        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+        render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
         switch (k / 2) {
-        case 0: look(&d, c, c, -2.0 * n, c, c, c); break;
-        case 1: look(&d, -2.0 * n, c, -2.0 * n, c, c, c); break;
-        case 2: look(&d, -2.0 * n, -2.0 * n, -2.0 * n, c, c, c); break;
-        case 3: look(&d, c, c, 3.0 * n, c, c, 0); d.camera.ortho_height = (float)n; break;
-        case 4: look(&d, c, c, 1e6 * n, c, c, 0); d.camera.fov_y = 6e-5f; break;
-        default: look(&d, -2.0 * n, 3, 3, c, 3, 3); d.camera.up[1] = d.camera.up[2] = 1; break;
+        case 0: render_look(&d, c, c, -2.0 * n, c, c, c); break;
+        case 1: render_look(&d, -2.0 * n, c, -2.0 * n, c, c, c); break;
+        case 2: render_look(&d, -2.0 * n, -2.0 * n, -2.0 * n, c, c, c); break;
+        case 3: render_look(&d, c, c, 3.0 * n, c, c, 0); d.camera.ortho_height = (float)n; break;
+        case 4: render_look(&d, c, c, 1e6 * n, c, c, 0); d.camera.fov_y = 6e-5f; break;
+        default: render_look(&d, -2.0 * n, 3, 3, c, 3, 3); d.camera.up[1] = d.camera.up[2] = 1; break;
         }
-        CHECK_EQ_U64(draw(&d, &s, 45, 45, 1, &pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, 45, 45, 1, &render_pic[0], NULL), TETCAST_OK);
         snprintf(what, sizeof what, "view %u", k);
-        check_box_lengths(&d.camera, &pic[0], 45, 45, n, 0, 1e300, what);
-        scene_free(&s);
+        check_box_lengths(&d.camera, &render_pic[0], 45, 45, n, 0, 1e300, what);
+        render_scene_free(&s);
     }
 }
 
 TEST(eye_inside) { /* in cells, on faces, edges, vertices, on the hull and a hair's breadth off it */
     uint32_t k, a, n = 8, isa;
     for (k = 0; k < 40; k++) {
-        scene s;
+        render_scene s;
         test_rng rng = test_rng_make(k);
         double eye[3], at[3];
         char what[32];
@@ -368,7 +368,7 @@ TEST(eye_inside) { /* in cells, on faces, edges, vertices, on the hull and a hai
         if (k % 4 == 3) tets_jitter(&s.t, n, n, n, 0.6, k);
         s.mesh = tets_build(&s.t, k & 2 ? TETCAST_CELLS_TET8 : TETCAST_CELLS_TET16, NULL);
         REQUIRE(s.mesh != NULL);
-        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+        render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
         for (a = 0; a < 3; a++) {
             eye[a] = k % 5 == 0 ? 1 + test_rng_below(&rng, n - 2) : (n - 1) * test_rng_double(&rng);
             at[a] = (n - 1) * test_rng_double(&rng);
@@ -378,28 +378,28 @@ TEST(eye_inside) { /* in cells, on faces, edges, vertices, on the hull and a hai
         if (k % 5 == 3) eye[k % 3] = (k & 4 ? 0 : n - 1) + (k & 8 ? 1e-7 : -1e-7) * (k & 4 ? 1 : -1);
         if (k == 35) eye[0] = eye[1] = eye[2] = 0;
         for (isa = 1; isa <= 3; isa++) {
-            tetcast_render_desc d = defaults();
-            look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
+            tetcast_render_desc d = render_defaults();
+            render_look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
             d.camera.fov_y = 90;
             d.isa = (tetcast_isa)isa;
-            CHECK_EQ_U64(draw(&d, &s, 33, 33, 1, &pic[0], NULL), TETCAST_OK);
+            CHECK_EQ_U64(render_draw(&d, &s, 33, 33, 1, &render_pic[0], NULL), TETCAST_OK);
             snprintf(what, sizeof what, "eye %u isa %u", k, isa);
-            check_box_lengths(&d.camera, &pic[0], 33, 33, n, 0, 1e300, what);
+            check_box_lengths(&d.camera, &render_pic[0], 33, 33, n, 0, 1e300, what);
             d.clip_near = 1.25f;
             d.clip_far = 4;
-            CHECK_EQ_U64(draw(&d, &s, 33, 33, 1, &pic[0], NULL), TETCAST_OK);
-            check_box_lengths(&d.camera, &pic[0], 33, 33, n, 1.25, 4, what);
+            CHECK_EQ_U64(render_draw(&d, &s, 33, 33, 1, &render_pic[0], NULL), TETCAST_OK);
+            check_box_lengths(&d.camera, &render_pic[0], 33, 33, n, 1.25, 4, what);
         }
-        scene_free(&s);
+        render_scene_free(&s);
     }
 }
 
 TEST(eye_in_tangled_cells) { /* rays begin in rings of cells that no ray from outside enters: they end all the same, equally */
     uint32_t k, i, a;
     for (k = 0; k < (test_quick() ? 60u : 200u); k++) {
-        scene s;
+        render_scene s;
         test_rng rng = test_rng_make(k);
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         double eye[3], at[3];
         memset(&s, 0, sizeof s);
         if (k % 4 == 3) { /* few places, so that cells are flat, too */
@@ -413,73 +413,73 @@ TEST(eye_in_tangled_cells) { /* rays begin in rings of cells that no ray from ou
         }
         s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
         REQUIRE(s.mesh != NULL);
-        scene_optics(&s, k & 2 ? TETCAST_MODEL_ISOSURFACE : TETCAST_MODEL_VOLUME, k & 2 ? 0.5f : -1, -1);
+        render_scene_optics(&s, k & 2 ? TETCAST_MODEL_ISOSURFACE : TETCAST_MODEL_VOLUME, k & 2 ? 0.5f : -1, -1);
         for (a = 0; a < 3; a++) {
             eye[a] = k % 4 == 3 ? test_rng_below(&rng, 4) : 1 + 4 * test_rng_double(&rng);
             at[a] = 6 * test_rng_double(&rng) + 0.1;
         }
-        look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
+        render_look(&d, eye[0], eye[1], eye[2], at[0], at[1], at[2]);
         d.camera.fov_y = 90;
         d.method = TETCAST_METHOD_WALK;
         d.isa = TETCAST_ISA_SCALAR;
-        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 1, &render_pic[0], NULL), TETCAST_OK);
         d.isa = TETCAST_ISA_AUTO;
-        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[1], NULL), TETCAST_OK);
-        CHECK_MSG(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0, "mesh %u: other bits with another instruction set", k);
-        scene_free(&s);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 1, &render_pic[1], NULL), TETCAST_OK);
+        CHECK_MSG(memcmp(&render_pic[0], &render_pic[1], sizeof render_pic[0]) == 0, "mesh %u: other bits with another instruction set", k);
+        render_scene_free(&s);
     }
 }
 
 TEST(wide_angles) { /* 170 degrees: rays of one tile look along different axes */
-    scene s;
-    tetcast_render_desc d = defaults();
+    render_scene s;
+    tetcast_render_desc d = render_defaults();
     uint32_t n = 9;
     memset(&s, 0, sizeof s);
     tets_lattice(&s.t, n, n, n, 6, NULL);
     s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
-    look(&d, 3.3, 4.1, 5.2, 4, 7, 1);
+    render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+    render_look(&d, 3.3, 4.1, 5.2, 4, 7, 1);
     d.camera.fov_y = 170;
-    CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[0], NULL), TETCAST_OK);
-    check_box_lengths(&d.camera, &pic[0], 31, 31, n, 0, 1e300, "inside");
-    look(&d, -1, 4, 4, 4, 4.2, 4.1);
-    CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[0], NULL), TETCAST_OK);
-    check_box_lengths(&d.camera, &pic[0], 31, 31, n, 0, 1e300, "outside");
-    scene_free(&s);
+    CHECK_EQ_U64(render_draw(&d, &s, 31, 31, 1, &render_pic[0], NULL), TETCAST_OK);
+    check_box_lengths(&d.camera, &render_pic[0], 31, 31, n, 0, 1e300, "inside");
+    render_look(&d, -1, 4, 4, 4, 4.2, 4.1);
+    CHECK_EQ_U64(render_draw(&d, &s, 31, 31, 1, &render_pic[0], NULL), TETCAST_OK);
+    check_box_lengths(&d.camera, &render_pic[0], 31, 31, n, 0, 1e300, "outside");
+    render_scene_free(&s);
 }
 
 TEST(narrow_views) { /* from so far that doubles do not tell pixels apart: the same picture for every isa, and something in it */
     uint32_t k, i, seen;
     for (k = 0; k < 24; k++) {
-        scene s;
-        tetcast_render_desc d = defaults();
+        render_scene s;
+        tetcast_render_desc d = render_defaults();
         memset(&s, 0, sizeof s);
         tets_lattice(&s.t, 5, 5, 5, 6, NULL);
         s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
         REQUIRE(s.mesh != NULL);
-        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
+        render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, -1);
         d.camera.fov_y = d.camera.ortho_height = 0;
         if (k % 2 == 0) d.camera.fov_y = (float)pow(10, -3.0 * (k / 2 + 1)); /* eye equals at: it is put where all is seen */
         else { /* parallel, and the eye as far away */
             d.camera.ortho_height = 6;
-            look(&d, 2, 2, 2 - pow(10, 3.0 * (k / 2 + 1)), 2, 2, 2);
+            render_look(&d, 2, 2, 2 - pow(10, 3.0 * (k / 2 + 1)), 2, 2, 2);
             d.camera.eye[0] += 0.3 * d.camera.eye[2];
         }
         d.isa = TETCAST_ISA_SCALAR;
         if (k % 2 == 0) memset(d.camera.eye, 0, sizeof d.camera.eye);
         if (k % 2 == 0) memset(d.camera.at, 0, sizeof d.camera.at);
-        CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, 31, 31, 1, &render_pic[0], NULL), TETCAST_OK);
         d.isa = TETCAST_ISA_AUTO;
-        CHECK_EQ_U64(draw(&d, &s, 31, 31, 1, &pic[1], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, 31, 31, 1, &render_pic[1], NULL), TETCAST_OK);
         for (i = seen = 0; i < 31 * 31; i++) {
             const uint32_t x = i % 31, y = i / 31;
-            seen += pic[0].length[y][x] > 0;
-            CHECK_MSG(pic[0].length[y][x] == pic[1].length[y][x] && memcmp(pic[0].rgba[y][x], pic[1].rgba[y][x], 16) == 0,
+            seen += render_pic[0].length[y][x] > 0;
+            CHECK_MSG(render_pic[0].length[y][x] == render_pic[1].length[y][x] && memcmp(render_pic[0].rgba[y][x], render_pic[1].rgba[y][x], 16) == 0,
                       "view %u: pixel %u %u", k, x, y);
         }
         CHECK_MSG(seen > 200 || k / 2 > 3, "view %u: %u pixels", k, seen);
-        scene_free(&s);
+        render_scene_free(&s);
     }
 }
 
@@ -488,69 +488,69 @@ TEST(narrow_views) { /* from so far that doubles do not tell pixels apart: the s
 TEST(sizes) {
     static const uint32_t size[7][2] = {{1, 1}, {33, 17}, {32, 32}, {64, 1}, {1, 40}, {70, 45}, {31, 33}};
     uint32_t k, x, y;
-    scene s;
-    scene_make(&s, 6, 0, TETCAST_CELLS_TET16);
+    render_scene s;
+    render_scene_make(&s, 6, 0, TETCAST_CELLS_TET16);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
     for (k = 0; k < 7; k++) {
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         tetcast_render_stats stats;
         uint32_t wrong = 0;
         memset(&stats, 0, sizeof stats);
-        look(&d, 12, 9, -8, 2.5, 2.5, 2.5);
+        render_look(&d, 12, 9, -8, 2.5, 2.5, 2.5);
         d.background[0] = 0.25f;
         d.background[3] = 0.5f;
-        CHECK_EQ_U64(draw(&d, &s, size[k][0], size[k][1], 1, &pic[0], &stats), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, size[k][0], size[k][1], 1, &render_pic[0], &stats), TETCAST_OK);
         CHECK_EQ_U64(stats.rays, size[k][0] * size[k][1]);
-        for (y = 0; y < H; y++)
-            for (x = 0; x < W; x++) {
+        for (y = 0; y < RENDER_H; y++)
+            for (x = 0; x < RENDER_W; x++) {
                 uint32_t bits;
-                memcpy(&bits, &pic[0].rgba[y][x][3], 4);
+                memcpy(&bits, &render_pic[0].rgba[y][x][3], 4);
                 wrong += (x < size[k][0] && y < size[k][1]) == (bits == 0xcdcdcdcdu); /* all of it, and no more */
             }
         CHECK_EQ_U64(wrong, 0);
     }
     {
-        tetcast_render_desc d = defaults();
-        CHECK_EQ_U64(draw(&d, &s, 0, 10, 1, &pic[0], NULL), TETCAST_OK);
-        CHECK_EQ_U64(draw(&d, &s, 10, 0, 1, &pic[0], NULL), TETCAST_OK);
+        tetcast_render_desc d = render_defaults();
+        CHECK_EQ_U64(render_draw(&d, &s, 0, 10, 1, &render_pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, 10, 0, 1, &render_pic[0], NULL), TETCAST_OK);
     }
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 TEST(background_and_bytes) {
-    scene s;
-    tetcast_render_desc d = defaults();
+    render_scene s;
+    tetcast_render_desc d = render_defaults();
     uint32_t x, y, a, wrong = 0, empty = 0;
-    scene_make(&s, 7, 0, TETCAST_CELLS_TET16);
+    render_scene_make(&s, 7, 0, TETCAST_CELLS_TET16);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
-    look(&d, 14, 9, -11, 3, 3, 3);
-    CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[0], NULL), TETCAST_OK);
+    render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    render_look(&d, 14, 9, -11, 3, 3, 3);
+    CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 1, &render_pic[0], NULL), TETCAST_OK);
     d.background[0] = 0.1f;
     d.background[1] = 0.2f;
     d.background[2] = 0.4f;
     d.background[3] = 0.8f;
-    CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[1], NULL), TETCAST_OK);
-    for (y = 0; y < H; y++)
-        for (x = 0; x < W; x++) {
-            const float *p = pic[0].rgba[y][x], *q = pic[1].rgba[y][x];
+    CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 1, &render_pic[1], NULL), TETCAST_OK);
+    for (y = 0; y < RENDER_H; y++)
+        for (x = 0; x < RENDER_W; x++) {
+            const float *p = render_pic[0].rgba[y][x], *q = render_pic[1].rgba[y][x];
             for (a = 0; a < 4; a++) wrong += q[a] != p[a] + (1.0f - p[3]) * d.background[a];
             for (a = 0; a < 3; a++) {
                 double want = q[3] > 0 ? tetcasti_linear_to_srgb((double)q[a] / (double)q[3]) * 255 : 0;
-                wrong += !(fabs((double)pic[1].rgba8[y][x][a] - want) <= 0.5001);
+                wrong += !(fabs((double)render_pic[1].rgba8[y][x][a] - want) <= 0.5001);
             }
-            wrong += !(fabs((double)pic[1].rgba8[y][x][3] - (double)q[3] * 255) <= 0.5001);
-            if (pic[0].steps[y][x] == 0) {
+            wrong += !(fabs((double)render_pic[1].rgba8[y][x][3] - (double)q[3] * 255) <= 0.5001);
+            if (render_pic[0].steps[y][x] == 0) {
                 empty++;
-                wrong += p[3] != 0 || pic[0].depth[y][x] != INFINITY || pic[0].length[y][x] != 0;
+                wrong += p[3] != 0 || render_pic[0].depth[y][x] != INFINITY || render_pic[0].length[y][x] != 0;
             } else {
-                wrong += !(pic[0].depth[y][x] > 5) || !(pic[0].depth[y][x] < 30);
+                wrong += !(render_pic[0].depth[y][x] > 5) || !(render_pic[0].depth[y][x] < 30);
             }
         }
     CHECK_EQ_U64(wrong, 0);
     CHECK(empty > 100);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 TEST(encoder) { /* sRGB bytes by table against the function */
@@ -569,7 +569,7 @@ TEST(encoder) { /* sRGB bytes by table against the function */
 /* ---- isosurfaces ---- */
 
 TEST(isosurface_of_a_plane) { /* a linear field: depth and colour of a plane, once per pixel, with either kind of normals */
-    scene s;
+    render_scene s;
     tetcast_mesh_info info;
     uint32_t k, x, y, i, wrong = 0, hits = 0;
     memset(&s, 0, sizeof s);
@@ -580,20 +580,20 @@ TEST(isosurface_of_a_plane) { /* a linear field: depth and colour of a plane, on
     REQUIRE(s.mesh != NULL);
     tetcast_mesh_get_info(s.mesh, &info);
     CHECK_EQ_U64(tetcast_mesh_make_gradients(s.mesh, NULL), TETCAST_OK);
-    scene_optics(&s, TETCAST_MODEL_ISOSURFACE, 0.5f, 0);
+    render_scene_optics(&s, TETCAST_MODEL_ISOSURFACE, 0.5f, 0);
     for (k = 0; k < 4; k++) {
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         d.isa = k & 1 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
         d.smooth_normals = k >> 1;
-        look(&d, 16, 13, -12, 4, 4, 4);
-        CHECK_EQ_U64(draw(&d, &s, W, H, 1, &pic[k & 1], NULL), TETCAST_OK);
-        if (k & 1) CHECK(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0);
-        for (y = 0; y < H; y++)
-            for (x = 0; x < W; x++) {
+        render_look(&d, 16, 13, -12, 4, 4, 4);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 1, &render_pic[k & 1], NULL), TETCAST_OK);
+        if (k & 1) CHECK(memcmp(&render_pic[0], &render_pic[1], sizeof render_pic[0]) == 0);
+        for (y = 0; y < RENDER_H; y++)
+            for (x = 0; x < RENDER_W; x++) {
                 tetcast_ray r;
                 double t, p[3], forward[3], z = 0, inside = 1e300, n[3];
                 uint32_t a;
-                tetcast_camera_ray(&d.camera, W, H, x + 0.5, y + 0.5, &r);
+                tetcast_camera_ray(&d.camera, RENDER_W, RENDER_H, x + 0.5, y + 0.5, &r);
                 t = (0.48 - 0.05 * r.org[0] - 0.07 * r.org[1]) / (0.05 * r.dir[0] + 0.07 * r.dir[1]);
                 for (a = 0; a < 3; a++) {
                     p[a] = r.org[a] + t * r.dir[a];
@@ -604,34 +604,34 @@ TEST(isosurface_of_a_plane) { /* a linear field: depth and colour of a plane, on
                 for (a = 0; a < 3; a++) z += t * r.dir[a] * forward[a];
                 if (inside > 1e-4) {
                     hits++;
-                    wrong += !(fabs((double)pic[k & 1].depth[y][x] - z) < 1e-4); /* values are floats: 3e-8 / 0.086 */
-                    wrong += pic[k & 1].rgba[y][x][3] != 1.0f;
+                    wrong += !(fabs((double)render_pic[k & 1].depth[y][x] - z) < 1e-4); /* values are floats: 3e-8 / 0.086 */
+                    wrong += render_pic[k & 1].rgba[y][x][3] != 1.0f;
                     n[0] = 0.05 / sqrt(0.0074);
                     n[1] = 0.07 / sqrt(0.0074);
                     {   /* one light from the eye, highlight included */
                         double c = fabs(n[0] * r.dir[0] + n[1] * r.dir[1]);
-                        wrong += !(fabs((double)pic[k & 1].rgba[y][x][0] - (0.8 * c + 0.3 * pow(c, 32))) < 3e-3);
+                        wrong += !(fabs((double)render_pic[k & 1].rgba[y][x][0] - (0.8 * c + 0.3 * pow(c, 32))) < 3e-3);
                     }
                 } else if (inside < -1e-4) {
-                    wrong += pic[k & 1].rgba[y][x][3] != 0.0f || pic[k & 1].depth[y][x] != INFINITY;
+                    wrong += render_pic[k & 1].rgba[y][x][3] != 0.0f || render_pic[k & 1].depth[y][x] != INFINITY;
                 }
             }
     }
     CHECK_EQ_U64(wrong, 0);
     CHECK(hits > 500);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 TEST(isovalue_of_vertices) { /* the value of whole planes of vertices: every pixel meets the surface once */
-    scene s;
-    tetcast_render_desc d = defaults();
+    render_scene s;
+    tetcast_render_desc d = render_defaults();
     uint32_t i, x, y, k, wrong = 0;
     memset(&s, 0, sizeof s);
     tets_lattice(&s.t, 9, 9, 9, 5, NULL);
     for (i = 0; i < s.t.nv; i++) s.t.s[i] = (float)(s.t.p[3 * i + 2] / 8);
     s.mesh = tets_build(&s.t, TETCAST_CELLS_TET16, NULL);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_MIXED, 0.5f, 0); /* opacity 0.5; the volume: take it away */
+    render_scene_optics(&s, TETCAST_MODEL_MIXED, 0.5f, 0); /* opacity 0.5; the volume: take it away */
     {
         tetcast_transfer_desc td;
         tetcast_isovalue v;
@@ -650,14 +650,14 @@ TEST(isovalue_of_vertices) { /* the value of whole planes of vertices: every pix
         CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
     }
     for (k = 0; k < 4; k++) {
-        look(&d, k == 0 ? 4 : 4.37, k < 2 ? 4 : 3.21, k == 3 ? -11 : 19, 4, 4, 4);
+        render_look(&d, k == 0 ? 4 : 4.37, k < 2 ? 4 : 3.21, k == 3 ? -11 : 19, 4, 4, 4);
         d.camera.fov_y = 20;
-        CHECK_EQ_U64(draw(&d, &s, 45, 45, 1, &pic[0], NULL), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, 45, 45, 1, &render_pic[0], NULL), TETCAST_OK);
         for (y = 0; y < 45; y++)
-            for (x = 0; x < 45; x++) wrong += pic[0].rgba[y][x][3] != 0.5f; /* not 0, not 0.75 */
+            for (x = 0; x < 45; x++) wrong += render_pic[0].rgba[y][x][3] != 0.5f; /* not 0, not 0.75 */
     }
     CHECK_EQ_U64(wrong, 0);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 /* ---- leaping ---- */
@@ -665,8 +665,8 @@ TEST(isovalue_of_vertices) { /* the value of whole planes of vertices: every pix
 TEST(leaping) { /* clusters that show nothing are left out: the same picture but for rounding, fewer steps */
     uint32_t k, x, y, a, wrong = 0, n = test_quick() ? 16 : 28;
     for (k = 0; k < 8; k++) {
-        scene s;
-        tetcast_render_desc d = defaults();
+        render_scene s;
+        tetcast_render_desc d = render_defaults();
         tetcast_render_stats with, without;
         tetcast_control_point p[6];
         tetcast_transfer_desc td;
@@ -707,17 +707,17 @@ TEST(leaping) { /* clusters that show nothing are left out: the same picture but
         }
         CHECK_EQ_U64(tetcast_transfer_create(&td, &s.transfer), TETCAST_OK);
         CHECK_EQ_U64(tetcast_optics_create(s.transfer, &od, &s.optics), TETCAST_OK);
-        if (k % 3 == 0) look(&d, 2.2 * n, 1.6 * n, -1.2 * n, n / 2.0, n / 2.0, n / 2.0);
-        else if (k % 3 == 1) look(&d, n / 2.0, n / 2.0, n / 2.0, 0, 1, 2);            /* in the core, which is seen */
-        else look(&d, n / 2.0 + 0.4 * n, n / 2.0, n / 2.0, 0.2 * n, 0.4 * n, 0.6 * n); /* in what is hidden */
+        if (k % 3 == 0) render_look(&d, 2.2 * n, 1.6 * n, -1.2 * n, n / 2.0, n / 2.0, n / 2.0);
+        else if (k % 3 == 1) render_look(&d, n / 2.0, n / 2.0, n / 2.0, 0, 1, 2);            /* in the core, which is seen */
+        else render_look(&d, n / 2.0 + 0.4 * n, n / 2.0, n / 2.0, 0.2 * n, 0.4 * n, 0.6 * n); /* in what is hidden */
         d.no_leaping = 1;
-        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[0], &without), TETCAST_OK);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 0, &render_pic[0], &without), TETCAST_OK);
         d.no_leaping = 0;
-        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[1], &with), TETCAST_OK);
-        for (y = 0; y < H; y++)
-            for (x = 0; x < W; x++)
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 0, &render_pic[1], &with), TETCAST_OK);
+        for (y = 0; y < RENDER_H; y++)
+            for (x = 0; x < RENDER_W; x++)
                 for (a = 0; a < 4; a++) {
-                    double e = fabs((double)pic[0].rgba[y][x][a] - (double)pic[1].rgba[y][x][a]);
+                    double e = fabs((double)render_pic[0].rgba[y][x][a] - (double)render_pic[1].rgba[y][x][a]);
                     worst = fmax(worst, e);
                     wrong += !(e < 2e-5);
                 }
@@ -726,9 +726,9 @@ TEST(leaping) { /* clusters that show nothing are left out: the same picture but
         if (n > 20 && k < 6) CHECK_MSG(with.leapt_faces > 0 && with.steps < without.steps * 9 / 10, "case %u: steps %llu, %llu", k,
                               (unsigned long long)with.steps, (unsigned long long)without.steps);
         d.isa = TETCAST_ISA_SCALAR;
-        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[0], NULL), TETCAST_OK);
-        CHECK(memcmp(&pic[0], &pic[1], sizeof pic[0]) == 0);
-        scene_free(&s);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 0, &render_pic[0], NULL), TETCAST_OK);
+        CHECK(memcmp(&render_pic[0], &render_pic[1], sizeof render_pic[0]) == 0);
+        render_scene_free(&s);
     }
 }
 
@@ -738,26 +738,26 @@ TEST(early_end) { /* never off by more than the light that is left; fewer steps 
     static const float ends[5] = {-1, 0.001f, 0.01f, 0.1f, 0.4f};
     uint32_t k, x, y, a, wrong = 0;
     uint64_t last = 0;
-    scene s;
-    scene_make(&s, 12, 0, TETCAST_CELLS_TET16);
+    render_scene s;
+    render_scene_make(&s, 12, 0, TETCAST_CELLS_TET16);
     REQUIRE(s.mesh != NULL);
     for (k = 0; k < 5; k++) {
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         tetcast_render_stats stats;
         memset(&stats, 0, sizeof stats);
-        scene_optics(&s, TETCAST_MODEL_VOLUME, -1, ends[k]);
-        look(&d, 24, 17, -13, 5, 5, 5);
-        CHECK_EQ_U64(draw(&d, &s, W, H, 0, &pic[k != 0], &stats), TETCAST_OK);
+        render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, ends[k]);
+        render_look(&d, 24, 17, -13, 5, 5, 5);
+        CHECK_EQ_U64(render_draw(&d, &s, RENDER_W, RENDER_H, 0, &render_pic[k != 0], &stats), TETCAST_OK);
         if (k == 0) CHECK_EQ_U64(stats.ended, 0);
         else
-            for (y = 0; y < H; y++)
-                for (x = 0; x < W; x++)
-                    for (a = 0; a < 3; a++) wrong += !(fabsf(pic[0].rgba[y][x][a] - pic[1].rgba[y][x][a]) <= ends[k] * 1.0001f + 1e-6f);
+            for (y = 0; y < RENDER_H; y++)
+                for (x = 0; x < RENDER_W; x++)
+                    for (a = 0; a < 3; a++) wrong += !(fabsf(render_pic[0].rgba[y][x][a] - render_pic[1].rgba[y][x][a]) <= ends[k] * 1.0001f + 1e-6f);
         if (k >= 3) CHECK(stats.ended > 0 && stats.steps < last);
         last = stats.steps;
     }
     CHECK_EQ_U64(wrong, 0);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 /* ---- camera ---- */
@@ -877,19 +877,19 @@ TEST(camera) {
 
 /* ---- arguments, memory ---- */
 
-static int cancel(void *user, uint64_t done, uint64_t total) {
+static int render_cancel(void *user, uint64_t done, uint64_t total) {
     (void)total;
     return done >= *(uint64_t *)user;
 }
 
 TEST(arguments) {
-    scene s;
-    tetcast_render_desc d = defaults();
+    render_scene s;
+    tetcast_render_desc d = render_defaults();
     tetcast_image im;
     uint64_t at = 1;
-    scene_make(&s, 5, 0, TETCAST_CELLS_TET16);
+    render_scene_make(&s, 5, 0, TETCAST_CELLS_TET16);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
     memset(&im, 0, sizeof im);
     im.width = im.height = 40;
     CHECK_EQ_U64(tetcast_render(&d, NULL, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
@@ -898,49 +898,49 @@ TEST(arguments) {
     CHECK_EQ_U64(tetcast_render(NULL, s.mesh, s.optics, &im, NULL), TETCAST_OK);
     d.traverse_only = 1;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, NULL, &im, NULL), TETCAST_OK);
-    d = defaults();
+    d = render_defaults();
     d._end_zero = 3;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_UNINIT_DESC);
-    d = defaults();
+    d = render_defaults();
     d.smooth_normals = 1; /* without gradients */
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
-    d = defaults();
+    d = render_defaults();
     d.background[1] = NAN;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
-    d = defaults();
+    d = render_defaults();
     d.clip_near = -1;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
-    d = defaults();
+    d = render_defaults();
     d.camera.eye[0] = (double)INFINITY;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
-    d = defaults();
+    d = render_defaults();
     d.isa = (tetcast_isa)9;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_INVALID_ARG);
-    d = defaults();
+    d = render_defaults();
     im.width = 200;
-    d.env.progress_fn = cancel;
+    d.env.progress_fn = render_cancel;
     d.env.progress_user = &at;
     CHECK_EQ_U64(tetcast_render(&d, s.mesh, s.optics, &im, NULL), TETCAST_ERR_CANCELLED);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 TEST(memory) { /* each allocation fails once */
-    scene s;
+    render_scene s;
     int64_t k;
-    scene_make(&s, 14, 1, TETCAST_CELLS_TET16);
+    render_scene_make(&s, 14, 1, TETCAST_CELLS_TET16);
     REQUIRE(s.mesh != NULL);
-    scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
+    render_scene_optics(&s, TETCAST_MODEL_VOLUME, -1, 0);
     for (k = 0;; k++) {
         test_alloc ta;
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         tetcast_result r;
         test_alloc_init(&ta);
         ta.fail_at = k;
         d.env.allocator.alloc_fn = test_alloc_fn;
         d.env.allocator.free_fn = test_free_fn;
         d.env.allocator.user = &ta;
-        look(&d, 24, 17, -13, 5, 5, 5);
-        r = draw(&d, &s, W, H, 0, &pic[0], NULL);
+        render_look(&d, 24, 17, -13, 5, 5, 5);
+        r = render_draw(&d, &s, RENDER_W, RENDER_H, 0, &render_pic[0], NULL);
         test_alloc_check(&ta);
         if (ta.failed == 0) {
             CHECK_EQ_U64(r, TETCAST_OK);
@@ -951,7 +951,7 @@ TEST(memory) { /* each allocation fails once */
     CHECK(k >= 4);
     for (k = 0;; k++) {
         test_alloc ta;
-        tetcast_render_desc d = defaults();
+        tetcast_render_desc d = render_defaults();
         tetcast_ray ray;
         tetcast_ray_result got;
         tetcast_result r;
@@ -970,7 +970,7 @@ TEST(memory) { /* each allocation fails once */
         CHECK_EQ_U64(r, TETCAST_ERR_NO_MEMORY);
     }
     CHECK(k >= 2);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 /* ---- real meshes ---- */
@@ -1153,8 +1153,8 @@ static void check_real(const char *name, uint32_t size, uint64_t least_cells) {
     const char *path;
     sup_volume volume;
     sup_error err;
-    scene s;
-    tetcast_render_desc d = defaults();
+    render_scene s;
+    tetcast_render_desc d = render_defaults();
     tetcast_image im;
     tetcast_mesh_info info;
     tetcast_control_point p[5];
@@ -1234,7 +1234,7 @@ static void check_real(const char *name, uint32_t size, uint64_t least_cells) {
         free(length[k]);
     }
     sup_volume_free(&volume);
-    scene_free(&s);
+    render_scene_free(&s);
 }
 
 #ifndef REAL_SIZE
@@ -1310,8 +1310,8 @@ TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras, ways
         tetcast_optics_info info;
         tetcast_image image;
         tetcast_mesh_info about;
-        scene s;
-        tetcast_render_desc d = defaults();
+        render_scene s;
+        tetcast_render_desc d = render_defaults();
         size_t i, points = random_function(&r, p);
         uint32_t x, y, c, a;
         memset(&s, 0, sizeof s);
@@ -1347,7 +1347,7 @@ TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras, ways
         }
         CHECK(info.bound > 0 && info.bound <= od.tolerance * 1.0001f);
         CHECK(info.knot_count <= points);
-        look(&d, middle * (4 * test_rng_double(&r) - 1), middle * (4 * test_rng_double(&r) - 1), /* on any side, or inside */
+        render_look(&d, middle * (4 * test_rng_double(&r) - 1), middle * (4 * test_rng_double(&r) - 1), /* on any side, or inside */
              middle * (4 * test_rng_double(&r) - 1), middle * (0.5 + test_rng_double(&r)), middle * (0.5 + test_rng_double(&r)),
              middle * (0.5 + test_rng_double(&r)));
         d.camera.fov_y = 20 + 70 * test_rng_float(&r);
@@ -1371,7 +1371,7 @@ TEST(tolerance_of_pictures) { /* random meshes, fields, functions, cameras, ways
         if (getenv("TEST_PRINT") != NULL)
             printf("tolerance %5.2f bound %.4f error %.5f knots %u of %u t_min %.2g\n", (double)od.tolerance,
                    (double)info.bound, worst, info.knot_count, (uint32_t)points, (double)info.t_min);
-        scene_free(&s);
+        render_scene_free(&s);
     }
     free(list.visit);
     CHECK(tight * 5 > count && shorter * 5 > count); /* it does use what it is allowed */

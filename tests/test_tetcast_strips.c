@@ -199,13 +199,13 @@ TEST(list_of_planes) { /* normals point outwards, the gradient reproduces the sc
 
 /* ---- the baseline: rays by planes, layers of the hull by peeling ---- */
 
-enum { SIDE = 40 };
+enum { STRIPS_SIDE = 40 };
 
 typedef struct plane_count { uint32_t wrong, rays; baseline_stats stats; } plane_count;
 
 /* The lengths of a picture against those of the walker. `scale`: of the mesh along z; `place`: where it is. */
 static void count_wrong(const tets *t, const tetcast_camera *camera, const baseline_desc *desc, double tolerance, plane_count *n) {
-    static float length[SIDE * SIDE], want[SIDE * SIDE];
+    static float length[STRIPS_SIDE * STRIPS_SIDE], want[STRIPS_SIDE * STRIPS_SIDE];
     baseline_list l;
     tetcast_render_desc d;
     tetcast_image im;
@@ -215,13 +215,13 @@ static void count_wrong(const tets *t, const tetcast_camera *camera, const basel
     memset(&d, 0, sizeof d);
     memset(&im, 0, sizeof im);
     REQUIRE(m != NULL && baseline_list_make(m, &l));
-    CHECK(baseline_picture(&l, desc, camera, SIDE, SIDE, NULL, NULL, length, &n->stats));
+    CHECK(baseline_picture(&l, desc, camera, STRIPS_SIDE, STRIPS_SIDE, NULL, NULL, length, &n->stats));
     d.camera = *camera;
     d.traverse_only = 1;
-    im.width = im.height = SIDE;
+    im.width = im.height = STRIPS_SIDE;
     im.length = want;
     CHECK_EQ_U64(tetcast_render(&d, m, NULL, &im, NULL), TETCAST_OK);
-    for (i = 0; i < SIDE * SIDE; i++) {
+    for (i = 0; i < STRIPS_SIDE * STRIPS_SIDE; i++) {
         n->rays += want[i] > 0;
         n->wrong += !(fabs((double)length[i] - (double)want[i]) <= tolerance);
     }
@@ -428,7 +428,7 @@ TEST(rows_of_strips) { /* strips in rows: each column once, none across an end, 
 }
 
 static int keep_layers(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return (z & 1u) == 0; }
-static int keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 2) == (y < 2) && (y < 2) == (z < 2); }
+static int strips_keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 2) == (y < 2) && (y < 2) == (z < 2); }
 
 static int keep_two(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return z != 1; }
 
@@ -442,7 +442,7 @@ TEST(peeling) { /* the same as hit lists but where two layers have one depth */
         memset(&t, 0, sizeof t);
         memset(&c, 0, sizeof c);
         memset(&desc, 0, sizeof desc);
-        if (pass < 2) tets_lattice(&t, 5, 5, 5, 5, pass == 1 ? keep_corner : keep_layers);
+        if (pass < 2) tets_lattice(&t, 5, 5, 5, 5, pass == 1 ? strips_keep_corner : keep_layers);
         else tets_lattice(&t, 5, 5, 4, 5, keep_two);
         for (i = 0; i < t.nv && pass >= 2; i++) { /* a sheet of 1e-6 or 0.1 and at once behind it a plate */
             double z = t.p[3 * i + 2];

@@ -8,11 +8,11 @@ static const char *const names[TETCAST_INTEGRATOR_COUNT] = {
     "exact", "psi table", "riemann", "trapezoid", "midpoint", "pre-classified", "prefix integrals", "table 3D",
     "table incremental", "table sub-range", "table 2D", "table prefix"};
 
-static tetcast_optics *make(const tetcast_control_point *p, size_t count, int independent, const tetcast_optics_desc *d) {
+static tetcast_optics *tables_make(const tetcast_control_point *p, size_t count, int independent, const tetcast_optics_desc *d) {
     return oracle_optics(p, count, independent, NULL, 0, d);
 }
 
-static tetcast_optics_desc desc_of(tetcast_integrator which, uint32_t values, uint32_t lengths, float longest) {
+static tetcast_optics_desc tables_desc_of(tetcast_integrator which, uint32_t values, uint32_t lengths, float longest) {
     tetcast_optics_desc d;
     memset(&d, 0, sizeof d);
     d.integrator = which;
@@ -100,8 +100,8 @@ static double psi_of(double a, double b) { /* int_0^1 exp(-(a x + (b - a) x^2 / 
 }
 
 TEST(psi_and_its_table) {
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_PSI_TABLE, 0, 0, 0.0f);
-    tetcast_optics *o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_PSI_TABLE, 0, 0, 0.0f);
+    tetcast_optics *o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
     test_rng r = test_rng_make(2);
     double node = 0.0, table = 0.0, exact = 0.0;
     int i;
@@ -145,8 +145,8 @@ TEST(errors_of_all) { /* bounds a little above what was measured; prints a table
         const tetcast_control_point *p = k == 0 ? oracle_smooth : k == 1 ? peak : oracle_steps;
         const size_t n = k == 0 ? ORACLE_SMOOTH : k == 1 ? 5 : ORACLE_STEPS;
         for (which = 0; which < (int)TETCAST_INTEGRATOR_COUNT; which++) {
-            tetcast_optics_desc d = desc_of((tetcast_integrator)which, 128, 64, 2.0f);
-            tetcast_optics *o = make(p, n, 0, &d);
+            tetcast_optics_desc d = tables_desc_of((tetcast_integrator)which, 128, 64, 2.0f);
+            tetcast_optics *o = tables_make(p, n, 0, &d);
             double mean, worst;
             REQUIRE(o != NULL);
             worst = error_of(o, p, n, 0, 2.0f, test_quick() ? 500 : 4000, &mean);
@@ -162,8 +162,8 @@ TEST(halved_steps) { /* one value all along: twice half the way gives what the w
                                                 TETCAST_INTEGRATOR_MIDPOINT, TETCAST_INTEGRATOR_PRE, TETCAST_INTEGRATOR_PREFIX};
     int rule, i, c;
     for (rule = 0; rule < 6; rule++) {
-        const tetcast_optics_desc d = desc_of(rules[rule], 0, 0, 1.0f);
-        tetcast_optics *o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+        const tetcast_optics_desc d = tables_desc_of(rules[rule], 0, 0, 1.0f);
+        tetcast_optics *o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
         test_rng r = test_rng_make(47);
         double seen = 0.0;
         for (i = 0; i < 1000; i++) {
@@ -196,10 +196,10 @@ TEST(order_of_sampling) { /* Riemann: halving the step halves the error; trapezo
         double mean[3];
         int i;
         for (i = 0; i < 3; i++) {
-            tetcast_optics_desc d = desc_of(rules[k], 0, 0, 0.0f);
+            tetcast_optics_desc d = tables_desc_of(rules[k], 0, 0, 0.0f);
             tetcast_optics *o;
             d.samples = 16u << (2 * i);
-            o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+            o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
             (void)error_of(o, oracle_smooth, ORACLE_SMOOTH, 0, 2.0f, 300, &mean[i]);
             tetcast_optics_destroy(o);
         }
@@ -215,8 +215,8 @@ TEST(order_of_tables) { /* smooth function: doubling the table quarters the mean
     double mean[3];
     int i;
     for (i = 0; i < 3; i++) {
-        tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_3D, 32u << i, 16u << i, 2.0f);
-        tetcast_optics *o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+        tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_3D, 32u << i, 16u << i, 2.0f);
+        tetcast_optics *o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
         CHECK_EQ_U64(o->info.table_bytes, (size_t)16 * (32u << i) * (32u << i) * (16u << i));
         (void)error_of(o, oracle_smooth, ORACLE_SMOOTH, 0, 2.0f, 2000, &mean[i]);
         tetcast_optics_destroy(o);
@@ -227,7 +227,7 @@ TEST(order_of_tables) { /* smooth function: doubling the table quarters the mean
 
 TEST(pre_classification) { /* the same as the exact integral for a linear function, not for others */
     tetcast_control_point line[2];
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_PRE, 0, 0, 0.0f);
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_PRE, 0, 0, 0.0f);
     tetcast_optics *o;
     double worst;
     memset(line, 0, sizeof line);
@@ -235,28 +235,28 @@ TEST(pre_classification) { /* the same as the exact integral for a linear functi
     line[0].rgb[0] = line[1].rgb[1] = 1.0f;
     line[0].extinction = 0.5f;
     line[1].extinction = 3.0f;
-    o = make(line, 2, 0, &d);
+    o = tables_make(line, 2, 0, &d);
     worst = error_of(o, line, 2, 0, 2.0f, 2000, NULL);
     CHECK_MSG(worst < 1e-6, "%g", worst);
     tetcast_optics_destroy(o);
-    o = make(line, 2, 1, &d);
+    o = tables_make(line, 2, 1, &d);
     worst = error_of(o, line, 2, 1, 2.0f, 2000, NULL);
     CHECK_MSG(worst < 1e-6, "%g", worst);
     tetcast_optics_destroy(o);
-    o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+    o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
     CHECK(error_of(o, oracle_smooth, ORACLE_SMOOTH, 0, 2.0f, 2000, NULL) > 1e-2);
     tetcast_optics_destroy(o);
 }
 
 TEST(prefix_is_exact_for_opacity) { /* and for the colour where nothing absorbs; equal values are no 0 / 0 */
     tetcast_control_point clear[ORACLE_STEPS];
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_PREFIX, 0, 0, 0.0f);
-    tetcast_optics *o = make(oracle_steps, ORACLE_STEPS, 0, &d), *e;
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_PREFIX, 0, 0, 0.0f);
+    tetcast_optics *o = tables_make(oracle_steps, ORACLE_STEPS, 0, &d), *e;
     test_rng r = test_rng_make(3);
     int i, c;
     memcpy(clear, oracle_steps, sizeof clear);
     for (i = 0; i < ORACLE_STEPS; i++) clear[i].extinction = 0.0f;
-    e = make(clear, ORACLE_STEPS, 1, &d);
+    e = tables_make(clear, ORACLE_STEPS, 1, &d);
     for (i = 0; i < 5000; i++) {
         tetcast_segment s;
         float got[4];
@@ -281,8 +281,8 @@ TEST(prefix_is_exact_for_opacity) { /* and for the colour where nothing absorbs;
 /* ---- builders ---- */
 
 TEST(entries_of_the_exact_builder) {
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_3D, 33, 7, 1.5f);
-    tetcast_optics *o = make(oracle_steps, ORACLE_STEPS, 0, &d);
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_3D, 33, 7, 1.5f);
+    tetcast_optics *o = tables_make(oracle_steps, ORACLE_STEPS, 0, &d);
     uint32_t i, j, l;
     int c;
     REQUIRE(o != NULL);
@@ -308,8 +308,8 @@ TEST(subrange_is_the_plain_composite) { /* every entry: N steps one after the ot
     const uint32_t n = 61, lengths = 5;
     int independent;
     for (independent = 0; independent < 2; independent++) {
-        tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_SUBRANGE, n, lengths, 1.5f);
-        tetcast_optics *o = make(oracle_smooth, ORACLE_SMOOTH, independent, &d);
+        tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_SUBRANGE, n, lengths, 1.5f);
+        tetcast_optics *o = tables_make(oracle_smooth, ORACLE_SMOOTH, independent, &d);
         uint32_t i, j, l;
         int c;
         double worst = 0.0;
@@ -348,13 +348,13 @@ TEST(subrange_is_the_plain_composite) { /* every entry: N steps one after the ot
 }
 
 TEST(incremental_near_the_exact) {
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_INCREMENTAL, 128, 64, 2.0f);
-    tetcast_optics *a = make(oracle_smooth, ORACLE_SMOOTH, 0, &d), *b;
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_INCREMENTAL, 128, 64, 2.0f);
+    tetcast_optics *a = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d), *b;
     double worst = 0.0, mean_a, mean_b;
     size_t i;
     int c;
     d.integrator = TETCAST_INTEGRATOR_TABLE_3D;
-    b = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+    b = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
     for (i = 0; i < (size_t)128 * 128 * 64; i++) {
         for (c = 0; c < 4; c++) worst = fmax(worst, fabs((double)a->table.entry[i][c] - (double)b->table.entry[i][c]));
     }
@@ -371,8 +371,8 @@ TEST(opacity_is_symmetric) {
                                                 TETCAST_INTEGRATOR_TABLE_PREFIX, TETCAST_INTEGRATOR_TABLE_2D};
     int k;
     for (k = 0; k < 4; k++) {
-        tetcast_optics_desc d = desc_of(kinds[k], 64, 8, 2.0f);
-        tetcast_optics *o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+        tetcast_optics_desc d = tables_desc_of(kinds[k], 64, 8, 2.0f);
+        tetcast_optics *o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
         const uint32_t n = 64;
         uint32_t i, j, l;
         double differ = 0.0;
@@ -411,9 +411,9 @@ TEST(local_update) { /* an edit recomputes a part; the table is that of a new bu
         if (rep % 3 == 1) q[(at + 2) % 20].rgb[1] = 0.7f;
         if (rep % 5 == 4 && at > 0 && at < 19) q[at].value += 0.01f;
         for (k = 0; k < 5; k++) {
-            tetcast_optics_desc d = desc_of(kinds[k], 47, 9, 1.0f);
+            tetcast_optics_desc d = tables_desc_of(kinds[k], 47, 9, 1.0f);
             tetcast_transfer *t = oracle_transfer(q, 20, 0, NULL, 0);
-            tetcast_optics *old = make(p, 20, 0, &d), *fresh = make(q, 20, 0, &d), *update = NULL;
+            tetcast_optics *old = tables_make(p, 20, 0, &d), *fresh = tables_make(q, 20, 0, &d), *update = NULL;
             CHECK(tetcast_optics_update(old, t, &d, &update) == TETCAST_OK);
             REQUIRE(update != NULL);
             CHECK(memcmp(update->table.entry, fresh->table.entry, update->info.table_bytes) == 0);
@@ -433,10 +433,10 @@ TEST(threads_same_bits) {
     for (k = 0; k < 4; k++) {
         tetcast_optics *one = NULL;
         for (threads = 1; threads <= 5; threads += 2) {
-            tetcast_optics_desc d = desc_of(kinds[k], 50, 20, 1.0f);
+            tetcast_optics_desc d = tables_desc_of(kinds[k], 50, 20, 1.0f);
             tetcast_optics *o;
             d.env.thread_count = threads;
-            o = make(oracle_steps, ORACLE_STEPS, 0, &d);
+            o = tables_make(oracle_steps, ORACLE_STEPS, 0, &d);
             REQUIRE(o != NULL);
             if (one == NULL) {
                 one = o;
@@ -452,14 +452,14 @@ TEST(threads_same_bits) {
 
 TEST(lengths_beyond_the_table) { /* cut into parts that fit: not clamped */
     tetcast_control_point flat[1];
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_3D, 16, 64, 0.5f);
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_3D, 16, 64, 0.5f);
     tetcast_optics *o;
     float length;
     memset(flat, 0, sizeof flat);
     flat[0].value = 0.5f;
     flat[0].rgb[1] = 1.0f;
     flat[0].extinction = 0.7f;
-    o = make(flat, 1, 0, &d);
+    o = tables_make(flat, 1, 0, &d);
     for (length = 0.01f; length < 20.0f; length *= 1.3f) {
         tetcast_segment s;
         float got[4];
@@ -482,8 +482,8 @@ TEST(values_outside) { /* of the table: what the function is there, also behind 
     int which, k, i, c;
     for (which = TETCAST_INTEGRATOR_TABLE_3D; which <= (int)TETCAST_INTEGRATOR_TABLE_SUBRANGE; which++)
         for (k = 0; k < 3; k++) { /* one side, the other, across a function without jumps */
-            tetcast_optics_desc d = desc_of((tetcast_integrator)which, 128, 64, 2.0f);
-            tetcast_optics *o = make(k == 2 ? ramp : jumps, k == 2 ? 3 : 4, 0, &d);
+            tetcast_optics_desc d = tables_desc_of((tetcast_integrator)which, 128, 64, 2.0f);
+            tetcast_optics *o = tables_make(k == 2 ? ramp : jumps, k == 2 ? 3 : 4, 0, &d);
             test_rng r = test_rng_make(77);
             double worst = 0;
             REQUIRE(o != NULL);
@@ -507,16 +507,16 @@ TEST(values_outside) { /* of the table: what the function is there, also behind 
 TEST(equidistant_steps) { /* across segments and gaps: converges to the exact ray; the rest at the end counts */
     tetcast_segment s[60];
     test_rng r = test_rng_make(5);
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_EXACT, 0, 0, 0.0f);
-    tetcast_optics *exact = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_EXACT, 0, 0, 0.0f);
+    tetcast_optics *exact = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
     double error[3] = {0.0, 0.0, 0.0};
     int k, rep, i, c;
     for (k = 0; k < 3; k++) {
         tetcast_optics *o;
         r = test_rng_make(5);
-        d = desc_of(TETCAST_INTEGRATOR_TABLE_2D, 512, 0, 1.0f);
+        d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_2D, 512, 0, 1.0f);
         d.step = 0.04f / (float)(1 << (2 * k));
-        o = make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
+        o = tables_make(oracle_smooth, ORACLE_SMOOTH, 0, &d);
         CHECK_EQ_U64(o->info.table_bytes, 512 * 512 * 16);
         for (rep = 0; rep < 50; rep++) {
             float v = test_rng_float(&r), a[4], b[4];
@@ -563,7 +563,7 @@ TEST(pending_step) { /* lengths that add up to just a step by rounding, then a s
 
 TEST(bad_tables) {
     tetcast_transfer *t = oracle_transfer(oracle_smooth, ORACLE_SMOOTH, 0, NULL, 0);
-    tetcast_optics_desc d = desc_of(TETCAST_INTEGRATOR_TABLE_3D, 0, 0, 0.0f);
+    tetcast_optics_desc d = tables_desc_of(TETCAST_INTEGRATOR_TABLE_3D, 0, 0, 0.0f);
     tetcast_optics *o = NULL;
     CHECK(tetcast_optics_create(t, &d, &o) == TETCAST_ERR_INVALID_ARG); /* longest */
     d.longest = 1.0f;

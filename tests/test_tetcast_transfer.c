@@ -4,7 +4,7 @@
 #include "tetcast.h"
 #include "transfer_oracle.h"
 
-static tetcast_transfer *make(const tetcast_control_point *p, size_t count, int independent, float simplify) {
+static tetcast_transfer *transfer_make(const tetcast_control_point *p, size_t count, int independent, float simplify) {
     tetcast_transfer_desc d;
     tetcast_transfer *t = NULL;
     memset(&d, 0, sizeof d);
@@ -17,7 +17,7 @@ static tetcast_transfer *make(const tetcast_control_point *p, size_t count, int 
 }
 
 /* Random points, some at equal values, some stretches empty. */
-static size_t random_points(test_rng *r, tetcast_control_point *p, size_t most) {
+static size_t transfer_random_points(test_rng *r, tetcast_control_point *p, size_t most) {
     const size_t n = 1 + test_rng_below(r, (uint32_t)most);
     float v = -1.0f;
     size_t i;
@@ -39,8 +39,8 @@ TEST(eval_like_oracle) {
     test_rng r = test_rng_make(1);
     int rep, i, c;
     for (rep = 0; rep < 200; rep++) {
-        const size_t n = random_points(&r, p, rep < 100 ? 12 : 60);
-        tetcast_transfer *t = make(p, n, 0, 0.0f);
+        const size_t n = transfer_random_points(&r, p, rep < 100 ? 12 : 60);
+        tetcast_transfer *t = transfer_make(p, n, 0, 0.0f);
         REQUIRE(t != NULL);
         for (i = 0; i < 100; i++) {
             float v = test_rng_range(&r, -2.0f, 8.0f), got[4];
@@ -69,7 +69,7 @@ TEST(find_is_exact) { /* buckets, counting and a plain search agree, also for kn
             p[i].extinction = (i & 1) ? 1.0f : 2.0f;
             v = test_rng_below(&r, 3) == 0 ? v + 0.01f : v + fabsf(v) * 2e-7f + 1e-9f;
         }
-        t = make(p, n, 0, 0.0f);
+        t = transfer_make(p, n, 0, 0.0f);
         REQUIRE(t != NULL);
         for (i = 0; i < 3000; i++) {
             float s = p[test_rng_below(&r, (uint32_t)n)].value;
@@ -90,9 +90,9 @@ TEST(largest_in_range) {
     test_rng r = test_rng_make(3);
     int rep, i, k, c, mode;
     for (rep = 0; rep < 60; rep++) {
-        const size_t n = random_points(&r, p, rep < 30 ? 8 : 60);
+        const size_t n = transfer_random_points(&r, p, rep < 30 ? 8 : 60);
         for (mode = 0; mode < 2; mode++) {
-            tetcast_transfer *t = make(p, n, mode, 0.0f);
+            tetcast_transfer *t = transfer_make(p, n, mode, 0.0f);
             for (i = 0; i < 30; i++) {
                 float lo = test_rng_range(&r, -1.5f, 6.0f), hi = test_rng_range(&r, -1.5f, 6.0f), ext, rgb[3];
                 double want[4] = {0.0, 0.0, 0.0, 0.0};
@@ -137,12 +137,12 @@ TEST(empty_ranges) {
     test_rng r = test_rng_make(4);
     int rep, i, mode, said = 0;
     for (rep = 0; rep < 100; rep++) {
-        const size_t n = random_points(&r, p, rep < 50 ? 10 : 60);
+        const size_t n = transfer_random_points(&r, p, rep < 50 ? 10 : 60);
         for (mode = 0; mode < 2; mode++) {
             tetcast_transfer *t;
             size_t k;
             for (k = 0; k < n && mode; k++) if (p[k].extinction == 0.0f) memset(p[k].rgb, 0, sizeof p[k].rgb);
-            t = make(p, n, mode, 0.0f);
+            t = transfer_make(p, n, mode, 0.0f);
             for (i = 0; i < 60; i++) {
                 float lo = test_rng_range(&r, -1.5f, 6.0f), hi = lo + test_rng_float(&r) * (i & 1 ? 0.3f : 3.0f);
                 int want = 1, got;
@@ -182,10 +182,10 @@ TEST(prefix_integrals) {
     test_rng r = test_rng_make(5);
     int rep, i, k, c, mode;
     for (rep = 0; rep < 40; rep++) {
-        const size_t n = random_points(&r, p, 40);
+        const size_t n = transfer_random_points(&r, p, 40);
         mode = rep & 1;
         {
-            tetcast_transfer *t = make(p, n, mode, 0.0f);
+            tetcast_transfer *t = transfer_make(p, n, mode, 0.0f);
             for (i = 0; i < 10; i++) {
                 const float a = test_rng_range(&r, -1.5f, 5.0f), b = test_rng_range(&r, -1.5f, 5.0f);
                 double x[7], y[7], want[7] = {0, 0, 0, 0, 0, 0, 0}, scale = 1.0;
@@ -271,7 +271,7 @@ TEST(simplify_within_bound) {
         p[i].extinction = x < 0.3f || x > 0.9f ? 0.0f : 40.0f * (x - 0.3f) * (0.9f - x);
     }
     for (k = 0; k < 4; k++) {
-        tetcast_transfer *t = make(p, 1000, 0, share[k]);
+        tetcast_transfer *t = transfer_make(p, 1000, 0, share[k]);
         tetcast_transfer_info info;
         REQUIRE(t != NULL);
         tetcast_transfer_get_info(t, &info);
@@ -308,20 +308,20 @@ TEST(difference_of_an_edit) {
         p[i].rgb[0] = (float)(i & 1);
         p[i].extinction = (float)(i * i);
     }
-    a = make(p, 9, 0, 0.0f);
-    b = make(p, 9, 0, 0.0f);
+    a = transfer_make(p, 9, 0, 0.0f);
+    b = transfer_make(p, 9, 0, 0.0f);
     tetcast_transfer_difference(a, b, &lo, &hi);
     CHECK(lo > hi);
     tetcast_transfer_destroy(b);
     memcpy(q, p, sizeof p);
     q[4].extinction = 100.0f;
-    b = make(q, 9, 0, 0.0f);
+    b = transfer_make(q, 9, 0, 0.0f);
     tetcast_transfer_difference(a, b, &lo, &hi);
     CHECK(lo == 3.0f && hi == 5.0f);
     tetcast_transfer_destroy(b);
     q[4] = p[4];
     q[4].value = 4.25f; /* moved */
-    b = make(q, 9, 0, 0.0f);
+    b = transfer_make(q, 9, 0, 0.0f);
     tetcast_transfer_difference(a, b, &lo, &hi);
     CHECK(lo == 3.0f && hi == 5.0f);
     tetcast_transfer_destroy(b);
@@ -329,7 +329,7 @@ TEST(difference_of_an_edit) {
     q[4] = p[3];
     q[4].value = 3.5f;
     memcpy(q + 5, p + 4, 5 * sizeof *p);
-    b = make(q, 10, 0, 0.0f);
+    b = transfer_make(q, 10, 0, 0.0f);
     tetcast_transfer_difference(a, b, &lo, &hi);
     CHECK(lo == 3.0f && hi == 4.0f);
     tetcast_transfer_difference(b, a, &lo, &hi);
@@ -337,11 +337,11 @@ TEST(difference_of_an_edit) {
     tetcast_transfer_destroy(b);
     memcpy(q, p, sizeof p);
     q[8].extinction = 1.0f; /* the last: from there to infinity */
-    b = make(q, 9, 0, 0.0f);
+    b = transfer_make(q, 9, 0, 0.0f);
     tetcast_transfer_difference(a, b, &lo, &hi);
     CHECK(lo == 7.0f && hi == INFINITY);
     tetcast_transfer_destroy(b);
-    b = make(p, 9, 1, 0.0f);
+    b = transfer_make(p, 9, 1, 0.0f);
     tetcast_transfer_difference(a, b, &lo, &hi);
     CHECK(lo == -INFINITY && hi == INFINITY);
     tetcast_transfer_destroy(b);
@@ -363,13 +363,13 @@ TEST(small_functions) { /* none, one point, one value with a jump, constant */
     p[0].value = p[1].value = 2.0f;
     p[0].extinction = 3.0f;
     p[1].extinction = 5.0f;
-    t = make(p, 1, 0, 0.0f);
+    t = transfer_make(p, 1, 0, 0.0f);
     tetcast_transfer_eval(t, -7.0f, v);
     CHECK(v[3] == 3.0f);
     tetcast_transfer_eval(t, 7.0f, v);
     CHECK(v[3] == 3.0f);
     tetcast_transfer_destroy(t);
-    t = make(p, 2, 0, 0.0f);
+    t = transfer_make(p, 2, 0, 0.0f);
     tetcast_transfer_get_info(t, &info);
     CHECK(info.knot_count == 1 && info.jump_count == 1);
     tetcast_transfer_eval(t, 1.999f, v);
@@ -541,7 +541,7 @@ TEST(steep_ramps) { /* values a few denormal numbers apart, widths below the las
     p[2].value = 2.8e-45f;
     p[3].value = 1.0f;
     p[1].extinction = 1e18f;
-    t = make(p, 4, 0, 0.0f);
+    t = transfer_make(p, 4, 0, 0.0f);
     REQUIRE(t != NULL);
     tetcast_transfer_eval(t, 0.0f, v);
     CHECK(v[3] >= 0.0f && v[3] <= 1e18f);

@@ -671,8 +671,8 @@ static int keep_ring(uint32_t x, uint32_t y, uint32_t z) { (void)z; return x < 2
 static int keep_u(uint32_t x, uint32_t y, uint32_t z) { (void)z; return x < 2 || x > 4 || y < 2; }
 static int keep_face(uint32_t x, uint32_t y, uint32_t z) { (void)y; (void)z; return x != 3; }
 static int keep_edge(uint32_t x, uint32_t y, uint32_t z) { (void)z; return (x < 3) == (y < 3); }
-static int keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 3) == (y < 3) && (y < 3) == (z < 3); }
-static int keep_layers(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return (z & 1u) == 0; }
+static int walk_keep_corner(uint32_t x, uint32_t y, uint32_t z) { return (x < 3) == (y < 3) && (y < 3) == (z < 3); }
+static int walk_keep_layers(uint32_t x, uint32_t y, uint32_t z) { (void)x; (void)y; return (z & 1u) == 0; }
 static int keep_checker(uint32_t x, uint32_t y, uint32_t z) { return ((x + y + z) & 1u) == 0; }
 
 /* Random rays and rays that are in the lattice's planes; the latter moved by 1e-9 for the reference, in both senses. */
@@ -728,7 +728,7 @@ static void check_shape(const tets *t, uint32_t nx, uint32_t ny, uint32_t nz, ui
 
 TEST(shapes) {
     static int (*const keep[8])(uint32_t, uint32_t, uint32_t) = {keep_hollow, keep_ring, keep_u, keep_face,
-                                                                 keep_edge, keep_corner, keep_layers, keep_checker};
+                                                                 keep_edge, walk_keep_corner, walk_keep_layers, keep_checker};
     uint32_t k;
     for (k = 0; k < 8; k++) {
         tets t;
@@ -749,7 +749,7 @@ TEST(fifty_layers) { /* plates with gaps between them, and plates 1e-6 apart */
         test_rng rng = test_rng_make(pass);
         memset(&t, 0, sizeof t);
         memset(rays, 0, sizeof rays);
-        tets_lattice(&t, 3, 3, 101, 6, keep_layers);
+        tets_lattice(&t, 3, 3, 101, 6, walk_keep_layers);
         if (pass)
             for (i = 0; i < t.nv; i++) { /* plates of 1 - 1e-6 */
                 double z = t.p[3 * i + 2], layer = floor(z / 2);

@@ -3,10 +3,10 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 
-static uint32_t rng_state = 1;
-static uint32_t rng(void) { return rng_state = voxrti_hash32(rng_state + 0x9e3779b9u); }
-static double rnd(void) { return (double)rng() / 4294967296.0; }
-static double rnd_in(double lo, double hi) { return lo + (hi - lo) * rnd(); }
+static uint32_t columns_rng_state = 1;
+static uint32_t rng(void) { return columns_rng_state = voxrti_hash32(columns_rng_state + 0x9e3779b9u); }
+static double columns_rnd(void) { return (double)rng() / 4294967296.0; }
+static double rnd_in(double lo, double hi) { return lo + (hi - lo) * columns_rnd(); }
 
 static voxrt_columns *make(uint32_t nx, uint32_t ny, uint32_t nz) { /* cells are unit cubes, depth is z */
     voxrt_columns_desc d;
@@ -177,7 +177,7 @@ static int line_meets(const int64_t p[3][3], uint32_t a, int64_t su, int64_t sv)
 
 TEST(thin_is_three_crosshairs) {
     int round, rounds = test_quick() ? 100 : 600;
-    rng_state = 3;
+    columns_rng_state = 3;
     for (round = 0; round < rounds; round++) {
         voxrt_columns *c = make(16, 8, 64), *raster = make(16, 8, 64);
         static uint8_t want[3][64][8][16];
@@ -269,7 +269,7 @@ static int box_meets(const double t[3][3], const double lo[3], const double hi[3
 
 TEST(fat_is_what_is_touched) {
     int round, rounds = test_quick() ? 60 : 300;
-    rng_state = 5;
+    columns_rng_state = 5;
     for (round = 0; round < rounds; round++) {
         voxrt_columns *c = make(16, 8, 64), *thin = make(16, 8, 64);
         float p[3][3];
@@ -281,7 +281,7 @@ TEST(fat_is_what_is_touched) {
                 p[e][a] = (float)rnd_in(-4, size[a] + 4);
                 if (round % 4 == 0 && a == (round / 4) % 3) p[e][a] = (float)(round % 8); /* a plane between cells */
                 if (round % 7 == 1 && e > 0) p[e][a] = p[0][a] + (p[e][a] - p[0][a]) * 0.05f;
-                if (round % 5 == 2 && e == 0) p[e][a] = (float)(rnd() < 0.5 ? rnd_in(-1, 1) : size[a] + rnd_in(-1, 1));
+                if (round % 5 == 2 && e == 0) p[e][a] = (float)(columns_rnd() < 0.5 ? rnd_in(-1, 1) : size[a] + rnd_in(-1, 1));
                 if (round % 5 == 2 && e > 0) p[e][a] = p[0][a] + (p[e][a] - p[0][a]) * 0.1f; /* small, across borders */
                 if (round % 13 == 3 && e == 2) p[e][a] = p[0][a] * 0.7f + p[1][a] * 0.3f; /* no area, or next to none */
                 if (round % 11 == 1 && a == 2) p[e][a] = (float)rnd_in(-500, 500);
@@ -312,7 +312,7 @@ TEST(four_triangles_at_a_time) {
     static float p[259][3];
     static uint32_t index[512][3];
     int round, rounds = test_quick() ? 40 : 400;
-    rng_state = 29;
+    columns_rng_state = 29;
     for (round = 0; round < rounds; round++) {
         const voxrt_columns_mode mode = round & 1 ? VOXRT_COLUMNS_FAT : VOXRT_COLUMNS_THIN;
         const uint32_t still = (uint32_t)round >> 1 & 1;
@@ -329,12 +329,12 @@ TEST(four_triangles_at_a_time) {
         for (i = 0; i < 256; i++)
             for (a = 0; a < 3; a++) {
                 if (round % 8 == 4) p[i][a] = floorf(2 * p[i][a]) / 2; /* on centres and borders */
-                if (rnd() < 0.002) p[i][a] = rnd() < 0.5 ? NAN : (float)rnd_in(-1e6, 1e6);
-                if (rnd() < 0.002) p[i][a] = 1e30f;
+                if (columns_rnd() < 0.002) p[i][a] = columns_rnd() < 0.5 ? NAN : (float)rnd_in(-1e6, 1e6);
+                if (columns_rnd() < 0.002) p[i][a] = 1e30f;
                 if (round % 8 == 6 && i % 4 == 3) p[i][a] = 0.25f * p[i - 1][a] + 0.75f * p[i - 2][a]; /* hardly any area */
             }
         for (i = 0; i < 512; i++)
-            for (e = 0; e < 3; e++) index[i][e] = rnd() < 0.001 ? 259 + rng() % 9 : rnd() < 0.01 ? 258 : (4 * (i / 8) + rng() % 4);
+            for (e = 0; e < 3; e++) index[i][e] = columns_rnd() < 0.001 ? 259 + rng() % 9 : columns_rnd() < 0.01 ? 258 : (4 * (i / 8) + rng() % 4);
         CHECK(insert(all, mode, p[0], index[0], 512, 259, still, &of_all) == VOXRT_OK);
         for (i = 0; i < 512; i++) CHECK(insert(single, mode, p[0], index[i], 1, 259, still, &of_single) == VOXRT_OK);
         for (z = 0; z < 64; z++)
@@ -351,7 +351,7 @@ TEST(four_triangles_at_a_time) {
 /* Turned in space, triangles whose corners lie on a line have a normal that is rounding: none of their cells is lost. */
 TEST(triangles_without_area_are_lines) {
     int round, k;
-    rng_state = 31;
+    columns_rng_state = 31;
     for (round = 0; round < 300; round++) {
         voxrt_columns *c = make(32, 16, 64);
         voxrt_columns_insert_desc d;
@@ -466,7 +466,7 @@ TEST(closed_meshes_are_tight_and_fill) {
     static closed m;
     static uint8_t seen[64 * 32 * 64];
     int round, rounds = test_quick() ? 8 : 40, gaps = 0;
-    rng_state = 8;
+    columns_rng_state = 8;
     for (round = 0; round < rounds; round++) {
         voxrt_columns *c = make(64, 32, 64), *solid = make(64, 32, 64), *raster = make(64, 32, 64);
         const double center[3] = {rnd_in(28, 36), rnd_in(14, 18), rnd_in(28, 36)};
@@ -515,7 +515,7 @@ TEST(bodies_are_as_wide_as_they_are) {
     int round, rounds = test_quick() ? 12 : 60;
     double volume = 0, cells = 0, fat = 0;
     uint32_t beside = 0;
-    rng_state = 18;
+    columns_rng_state = 18;
     for (round = 0; round < rounds; round++) {
         voxrt_columns *c = make(64, 32, 64), *thin = make(64, 32, 64);
         const double center[3] = {rnd_in(28, 36), rnd_in(14, 18), rnd_in(28, 36)}, half = rnd_in(1.6, 4.0);
@@ -613,7 +613,7 @@ TEST(samples_of_surfaces) {
     static closed m, fine;
     static uint8_t seen[64 * 32 * 64];
     int round, rounds = test_quick() ? 6 : 24, gaps = 0;
-    rng_state = 77;
+    columns_rng_state = 77;
     for (round = 0; round < rounds; round++) {
         voxrt_columns *c = make(64, 32, 64), *fat = make(64, 32, 64), *thin = make(64, 32, 64);
         const double center[3] = {rnd_in(28, 36), rnd_in(14, 18), rnd_in(28, 36)};
@@ -693,14 +693,14 @@ TEST(samples_of_surfaces) {
 TEST(samples_far_apart) { /* points are the same in a box that ends and in one that goes on behind it */
     static const uint32_t wide[3] = {64, 64, 512};
     uint32_t round, axis, k, x, y, z, points = 0, differ = 0;
-    rng_state = 23;
+    columns_rng_state = 23;
     for (round = 0; round < 60; round++) {
         voxrt_columns *c[2] = {NULL, NULL};
         float p[3][3];
         axis = round & 1u;
-        for (k = 0; k < 9; k++) p[k / 3][k % 3] = (float)(60 * rnd() + 2);
-        p[1][axis] = (float)(200 + 300 * rnd()); /* from the box out of it; the longest edge begins within it */
-        p[2][axis] = (float)(100 + 50 * rnd());
+        for (k = 0; k < 9; k++) p[k / 3][k % 3] = (float)(60 * columns_rnd() + 2);
+        p[1][axis] = (float)(200 + 300 * columns_rnd()); /* from the box out of it; the longest edge begins within it */
+        p[2][axis] = (float)(100 + 50 * columns_rnd());
         for (k = 0; k < 2; k++) {
             voxrt_columns_desc d;
             voxrt_columns_insert_desc in;
@@ -764,7 +764,7 @@ TEST(triangles_far_outside) { /* a floor of 10^6 cells, cut before it is snapped
 TEST(solids_far_outside) {
     static const uint32_t index[12] = {0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3};
     int round;
-    rng_state = 77;
+    columns_rng_state = 77;
     for (round = 0; round < 60; round++) {
         voxrt_columns *solid = make(32, 16, 64), *thin = make(32, 16, 64);
         voxrt_columns_insert_stats stats;
@@ -867,7 +867,7 @@ static uint32_t hierarchy_errors(const voxrt_columns *c) {
 TEST(still_and_moving) { /* frame by frame the same as all anew; every level is the OR of the one below */
     static const uint32_t size[3][3] = {{64, 8, 64}, {4, 128, 64}, {32, 32, 256}};
     uint32_t s, frame, frames = test_quick() ? 10 : 70;
-    rng_state = 11;
+    columns_rng_state = 11;
     for (s = 0; s < 3; s++) {
         voxrt_columns *c = make(size[s][0], size[s][1], size[s][2]);
         voxrt_columns *still = make(size[s][0], size[s][1], size[s][2]);
@@ -965,7 +965,7 @@ static void hall(voxrt_columns *c, double density) { /* walls, pillars and dust 
             if (x == 0 || y == 0 || x + 1 == c->size[0] || y + 1 == c->size[1]) voxrti_insert_run(&in, x, y, 0, c->size[2] - 1);
             if (x % 16 < 3 && y % 16 < 3) voxrti_insert_run(&in, x, y, 0, c->size[2] - 5);
             voxrti_insert_run(&in, x, y, 1, 1);
-            for (z = 0; z < c->size[2]; z++) if (rnd() < density) voxrti_insert_run(&in, x, y, z, z);
+            for (z = 0; z < c->size[2]; z++) if (columns_rnd() < density) voxrti_insert_run(&in, x, y, z, z);
         }
     voxrt_columns_update(c);
 }
@@ -993,7 +993,7 @@ TEST(rays_hit_what_plain_stepping_hits) {
     static const uint32_t size[3][3] = {{128, 64, 128}, {256, 256, 128}, {16, 16, 256}};
     uint32_t s, kind, i, n = test_quick() ? 300 : 12000;
     uint64_t counted = 0, missed = 0, extra = 0, other = 0, untied = 0;
-    rng_state = 21;
+    columns_rng_state = 21;
     for (s = 0; s < 3; s++) {
         voxrt_columns *c = make(size[s][0], size[s][1], size[s][2]);
         hall(c, s == 1 ? 0.0005 : 0.003);
@@ -1040,7 +1040,7 @@ TEST(segments_from_both_ends) { /* what lies between two points does not depend 
     const uint32_t n = test_quick() ? 4000 : 40000;
     voxrt_columns *c = make(64, 64, 64);
     uint32_t i, k, a, differ = 0, hit = 0;
-    rng_state = 61;
+    columns_rng_state = 61;
     hall(c, 0.01);
     for (i = 0; i < n; i++) {
         voxrt_ray r[2];
@@ -1070,7 +1070,7 @@ TEST(large_grids) { /* 1024 x 1024: more levels than a register of AVX2 has lane
     uint32_t i, wrong = 0, hits = 0;
     memset(&in, 0, sizeof in);
     in.columns = c;
-    rng_state = 62;
+    columns_rng_state = 62;
     for (i = 0; i < 20000; i++) {
         const uint32_t k = rng() % 60;
         voxrti_insert_run(&in, rng() % 1024, rng() % 1024, k, k + rng() % 4);
@@ -1100,7 +1100,7 @@ TEST(planes_may_leave_two_intervals) { /* seldom: then the first cell on the way
     static voxrti_column_const k;
     static uint32_t bits[8 * 4];
     uint32_t turn, i, p, w, met = 0;
-    rng_state = 71;
+    columns_rng_state = 71;
     k.bits = (const int *)(const void *)bits;
     for (turn = 0; turn < 400; turn++) {
         int32_t column[8], gone[4][8], ka[8], lo[8], hi[8], want[8];
@@ -1142,7 +1142,7 @@ static void rays_in_all_ways(uint32_t depth) {
     voxrt_stats sa, sb;
     const uint32_t many = depth == 128 ? N : N / 5;
     uint32_t i, k, isa, level, wrong = 0;
-    rng_state = 31;
+    columns_rng_state = 31;
     hall(c, 0.002);
     for (i = 0; i < many; i++) {
         ray[i] = random_ray(c, i % 12);
@@ -1205,7 +1205,7 @@ TEST(rays_explained) { /* what a ray looks at follows on each other, is what the
     voxrt_columns *c = make(128, 64, 128);
     voxrt_columns_trace_desc d;
     uint32_t i, hits = 0;
-    rng_state = 51;
+    columns_rng_state = 51;
     hall(c, 0.002);
     for (i = 0; i < N; i++) {
         const voxrt_ray ray = random_ray(c, i % 12);
@@ -1247,7 +1247,7 @@ TEST(times_of_hits_are_finite) { /* rays with directions next to 0 take longer t
     voxrt_column_hit hit[4][N];
     uint8_t occluded[N];
     uint32_t i, k, hits = 0;
-    rng_state = 61;
+    columns_rng_state = 61;
     hall(c, 0.002);
     for (i = 0; i < N; i++) {
         rays[i] = random_ray(c, 9);
@@ -1326,7 +1326,7 @@ TEST(boxes_of_any_size) { /* as far as rays through them have a speed that is a 
 TEST(a_hit_lies_on_its_face) {
     voxrt_columns *c = make(128, 64, 128);
     uint32_t i, k, hits = 0;
-    rng_state = 41;
+    columns_rng_state = 41;
     hall(c, 0.002);
     for (i = 0; i < 4000; i++) {
         voxrt_ray r = random_ray(c, 9);
@@ -1349,7 +1349,7 @@ TEST(a_hit_lies_on_its_face) {
 /* Rays that start on a surface without an offset: cosine-distributed ones. From planes of many orientations none may hit
    its own plane; beside a wall or a kerb the share that is occluded is the form factor. */
 static void cosine_ray(const double frame[3][3], voxrt_ray *r) {
-    const double u = rnd(), phi = 6.283185307 * rnd(), s = sqrt(u), up = sqrt(1 - u);
+    const double u = columns_rnd(), phi = 6.283185307 * columns_rnd(), s = sqrt(u), up = sqrt(1 - u);
     uint32_t a;
     for (a = 0; a < 3; a++)
         r->dir[a] = (float)(up * frame[0][a] + s * cos(phi) * frame[1][a] + s * sin(phi) * frame[2][a]);
@@ -1363,7 +1363,7 @@ TEST(tangent_planes_instead_of_offsets) {
     voxrt_ray r;
     uint32_t o, i, k, n = 0, none = 0, self = 0, at;
     uint8_t dark = 0;
-    rng_state = 51;
+    columns_rng_state = 51;
     memset(&d, 0, sizeof d);
     memset(&r, 0, sizeof r);
     for (o = 0; o < orientations; o++) {

@@ -19,7 +19,7 @@ static void add_sphere(cells *c, uint32_t size, double radius) {
     }
 }
 
-enum { KINDS = 9 };
+enum { FORMAT_KINDS = 9 };
 
 static uint32_t make_cells(int kind, cells *c) { /* returns the depth */
     test_rng r = test_rng_make((uint64_t)kind);
@@ -97,7 +97,7 @@ static uint64_t sum(uint64_t h, const uint8_t *p, size_t n) {
 }
 #define SUM_START 0x243f6a8885a308d3u
 
-static uint64_t get(const uint8_t *p, uint32_t bytes) {
+static uint64_t format_get(const uint8_t *p, uint32_t bytes) {
     uint64_t v = 0;
     while (bytes-- > 0) v = v << 8 | p[bytes];
     return v;
@@ -108,12 +108,12 @@ static void put(uint8_t *p, uint32_t bytes, uint64_t v) {
 
 /* Make all checksums right that can be made right. */
 static void seal(uint8_t *p, size_t size) {
-    uint32_t i, n = (uint32_t)get(p + 14, 2);
+    uint32_t i, n = (uint32_t)format_get(p + 14, 2);
     uint8_t head[64];
     if (64 + (size_t)n * 40 > size) return;
     for (i = 0; i < n; i++) {
         uint8_t *e = p + 64 + (size_t)i * 40;
-        uint64_t at = get(e + 8, 8), bytes = get(e + 16, 8);
+        uint64_t at = format_get(e + 8, 8), bytes = format_get(e + 16, 8);
         if (at <= size && bytes <= size - at) put(e + 32, 8, sum(SUM_START ^ bytes, p + at, (size_t)bytes));
     }
     memcpy(head, p, 64);
@@ -122,9 +122,9 @@ static void seal(uint8_t *p, size_t size) {
 }
 
 static uint8_t *entry(uint8_t *p, uint32_t id) {
-    uint32_t i, n = (uint32_t)get(p + 14, 2);
+    uint32_t i, n = (uint32_t)format_get(p + 14, 2);
     for (i = 0; i < n; i++)
-        if (get(p + 64 + 40 * i, 4) == id) return p + 64 + 40 * i;
+        if (format_get(p + 64 + 40 * i, 4) == id) return p + 64 + 40 * i;
     return NULL;
 }
 
@@ -202,12 +202,12 @@ static void slow_open(slow_rans *r, const uint8_t *section, size_t size) {
     r->section = section;
     r->size = size;
     if (size < 8) { r->bad = 1; return; }
-    r->chunks = (uint32_t)get(section, 4);
+    r->chunks = (uint32_t)format_get(section, 4);
     r->at = 8 + 2 * (size_t)r->chunks;
-    r->end = r->at + (size_t)get(section + 4, 4);
+    r->end = r->at + (size_t)format_get(section + 4, 4);
     if (r->end > size) { r->bad = 1; return; }
     for (i = 0; i < r->chunks; i++) {
-        k = (uint32_t)get(section + 8 + 2 * i, 2);
+        k = (uint32_t)format_get(section + 8 + 2 * i, 2);
         if (k < 4 || k % 2 != 0) r->bad = 1;
         total += k;
     }
@@ -231,8 +231,8 @@ static void slow_open(slow_rans *r, const uint8_t *section, size_t size) {
 
 static void slow_chunk(slow_rans *r) { /* the one before has to be used up */
     if (r->bad || r->x != 65536 || r->at != r->end || r->next == r->chunks) { r->bad = 1; return; }
-    r->end = r->at + (size_t)get(r->section + 8 + 2 * r->next++, 2);
-    r->x = (uint32_t)get(r->section + r->at, 4);
+    r->end = r->at + (size_t)format_get(r->section + 8 + 2 * r->next++, 2);
+    r->x = (uint32_t)format_get(r->section + r->at, 4);
     r->at += 4;
     if (r->x < 65536) r->bad = 1;
 }
@@ -267,16 +267,16 @@ static uint32_t slow_bits(uint64_t x) {
 /* All leaf masks of a compact file in order; returns their number, 0: the file is not as described. */
 static size_t slow_geometry(uint8_t *file, uint64_t *leaf, size_t room) {
     slow_rans *r = (slow_rans *)malloc(sizeof *r);
-    const uint8_t *place = file + get(entry(file, 1) + 8, 8), *e = entry(file, 6);
-    uint32_t wide = ((uint32_t)get(file + 36, 4) + 1) / 2, w, i;
+    const uint8_t *place = file + format_get(entry(file, 1) + 8, 8), *e = entry(file, 6);
+    uint32_t wide = ((uint32_t)format_get(file + 36, 4) + 1) / 2, w, i;
     uint64_t *above = (uint64_t *)calloc(room, 8), *level = (uint64_t *)malloc(room * 8), voxels = 0;
     size_t n = 1, below = 1;
     if (r == NULL || above == NULL || level == NULL) exit(1);
-    slow_open(r, file + get(e + 8, 8), (size_t)get(e + 16, 8));
+    slow_open(r, file + format_get(e + 8, 8), (size_t)format_get(e + 16, 8));
     above[0] = 1;
     for (w = 0; w < wide && !r->bad; w++) {
         uint32_t parent = 0, bit = 0, o, b, octant_count = 0;
-        n = (size_t)get(place + 64 + 4 * w, 4);
+        n = (size_t)format_get(place + 64 + 4 * w, 4);
         if (n > room || n != below) { r->bad = 1; break; }
         for (i = 0, below = 0; i < n; i++, bit++) {
             uint32_t siblings, octants;
@@ -302,10 +302,10 @@ static size_t slow_geometry(uint8_t *file, uint64_t *leaf, size_t room) {
             below += slow_bits(level[i]);
             if (w + 1 == wide) voxels += slow_bits(level[i]);
         }
-        if (octant_count != get(place + 104 + 4 * w, 4)) r->bad = 1;
+        if (octant_count != format_get(place + 104 + 4 * w, 4)) r->bad = 1;
         memcpy(above, level, n * 8);
     }
-    if (!slow_close(r) || voxels != get(file + 56, 8)) n = 0;
+    if (!slow_close(r) || voxels != format_get(file + 56, 8)) n = 0;
     memcpy(leaf, above, n * 8);
     free(above);
     free(level);
@@ -327,7 +327,7 @@ static int slow_normals(uint8_t *file, uint16_t *normal, uint64_t count) {
     uint64_t i;
     int ok;
     if (r == NULL) exit(1);
-    slow_open(r, file + get(e + 8, 8), (size_t)get(e + 16, 8));
+    slow_open(r, file + format_get(e + 8, 8), (size_t)format_get(e + 16, 8));
     for (i = 0; i < count && !r->bad; i++) {
         uint32_t dx, dy;
         if (i % 4096 == 0) {
@@ -367,9 +367,9 @@ TEST(coded_sections_exactly) {
             q = (uint8_t *)malloc(size);
             normal = (uint16_t *)malloc((size_t)t->attr_count * 2);
             REQUIRE(q != NULL && normal != NULL);
-            at = (size_t)get(entry(p, normals ? 7 : 6) + 8, 8);
-            bytes = (size_t)get(entry(p, normals ? 7 : 6) + 16, 8);
-            if (get(entry(p, normals ? 7 : 6) + 4, 4) != 1) bytes = 0; /* so few normals are stored raw */
+            at = (size_t)format_get(entry(p, normals ? 7 : 6) + 8, 8);
+            bytes = (size_t)format_get(entry(p, normals ? 7 : 6) + 16, 8);
+            if (format_get(entry(p, normals ? 7 : 6) + 4, 4) != 1) bytes = 0; /* so few normals are stored raw */
             for (round = 0; bytes != 0 && round < (test_quick() || TEST_SANITIZED ? 100u : 400u); round++) {
                 uint32_t k, m = round % 4 != 0 ? 1 : 1 + test_rng_below(&rng, 3);
                 memcpy(q, p, size);
@@ -428,7 +428,7 @@ TEST(coded_sections_by_hand) {
         memcpy(file, p, size);
         free(p);
         e = entry(file, 6);
-        s = file + get(e + 8, 8);
+        s = file + format_get(e + 8, 8);
         put(s, 4, 1);
         n = 10;
         for (i = 0; i < 258; i++) {
@@ -532,7 +532,7 @@ TEST(normals_in_lanes) {
 
 TEST(independent_reader) {
     int kind;
-    for (kind = 0; kind < KINDS; kind++) {
+    for (kind = 0; kind < FORMAT_KINDS; kind++) {
         voxrt_tree *t = make_tree(kind, 1, 1);
         size_t raw_size, size, n, i, leaves, voxels = 0;
         uint8_t *raw, *p;
@@ -542,9 +542,9 @@ TEST(independent_reader) {
         p = save(t, 0, &size);
         REQUIRE(raw != NULL && p != NULL);
         CHECK(memcmp(p, "\x89VOX\r\n\x1a\n", 8) == 0);
-        CHECK_EQ_U64(get(p + 16, 8), size);
-        CHECK_EQ_U64(get(p + 36, 4), t->depth);
-        CHECK_EQ_U64(get(p + 56, 8), t->voxel_count);
+        CHECK_EQ_U64(format_get(p + 16, 8), size);
+        CHECK_EQ_U64(format_get(p + 36, 4), t->depth);
+        CHECK_EQ_U64(format_get(p + 56, 8), t->voxel_count);
         leaves = t->level_nodes[t->wide - 1];
         leaf = (uint64_t *)malloc((leaves + t->node_count + 1) * 8);
         REQUIRE(leaf != NULL);
@@ -552,24 +552,24 @@ TEST(independent_reader) {
         CHECK_EQ_U64(n, leaves);
         for (i = 0; i < n; i++) {
             CHECK(leaf[i] == t->leaf[i]);
-            CHECK(get(raw + get(entry(raw, 4) + 8, 8) + 8 * i, 8) == t->leaf[i]);
+            CHECK(format_get(raw + format_get(entry(raw, 4) + 8, 8) + 8 * i, 8) == t->leaf[i]);
             voxels += voxrti_popcount64(leaf[i]);
         }
-        CHECK_EQ_U64(voxels, get(p + 56, 8));
+        CHECK_EQ_U64(voxels, format_get(p + 56, 8));
         for (i = 0; i < t->node_count; i++) {
-            const uint8_t *q = raw + get(entry(raw, 3) + 8, 8) + 16 * i;
-            CHECK(get(q, 8) == t->node[i].mask && get(q + 8, 4) == t->node[i].child && get(q + 12, 4) == t->node[i].octant);
+            const uint8_t *q = raw + format_get(entry(raw, 3) + 8, 8) + 16 * i;
+            CHECK(format_get(q, 8) == t->node[i].mask && format_get(q + 8, 4) == t->node[i].child && format_get(q + 12, 4) == t->node[i].octant);
         }
-        for (i = 0; i < t->attr_count; i++) CHECK(get(raw + get(entry(raw, 7) + 8, 8) + 2 * i, 2) == t->normal[i]);
-        if (get(entry(p, 7) + 4, 4) == 1) {
+        for (i = 0; i < t->attr_count; i++) CHECK(format_get(raw + format_get(entry(raw, 7) + 8, 8) + 2 * i, 2) == t->normal[i]);
+        if (format_get(entry(p, 7) + 4, 4) == 1) {
             uint16_t *normal = (uint16_t *)malloc((size_t)t->attr_count * 2);
             REQUIRE(normal != NULL);
             CHECK(slow_normals(p, normal, t->attr_count) && memcmp(normal, t->normal, (size_t)t->attr_count * 2) == 0);
             free(normal);
         }
-        palette_count = get(p + get(entry(p, 1) + 8, 8) + 56, 4);
+        palette_count = format_get(p + format_get(entry(p, 1) + 8, 8) + 56, 4);
         CHECK_EQ_U64(palette_count, t->palette_count);
-        CHECK(memcmp(p + get(entry(p, 2) + 8, 8), t->palette, (size_t)palette_count * 3) == 0);
+        CHECK(memcmp(p + format_get(entry(p, 2) + 8, 8), t->palette, (size_t)palette_count * 3) == 0);
         free(leaf);
         free(raw);
         free(p);
@@ -593,9 +593,9 @@ static void same_tree(const voxrt_tree *a, const voxrt_tree *b) {
 
 TEST(round_trips) {
     int kind, encoding, attributes;
-    for (kind = 0; kind < KINDS; kind++)
+    for (kind = 0; kind < FORMAT_KINDS; kind++)
         for (attributes = 0; attributes < 4; attributes++)
-            for (encoding = test_quick() && kind == KINDS - 1 && attributes != 3 ? 2 : 0; encoding < 2; encoding++) {
+            for (encoding = test_quick() && kind == FORMAT_KINDS - 1 && attributes != 3 ? 2 : 0; encoding < 2; encoding++) {
                 voxrt_tree *t = make_tree(kind, attributes & 1, attributes >> 1), *u = NULL;
                 size_t size, size2, k;
                 uint8_t *p, *q, *odd;
@@ -679,7 +679,7 @@ TEST(through_both_formats) {
 
 TEST(map_in_place) {
     int kind, trust;
-    for (kind = 0; kind < KINDS; kind++)
+    for (kind = 0; kind < FORMAT_KINDS; kind++)
         for (trust = 0; trust < 2; trust++) {
             voxrt_tree *t = make_tree(kind, kind & 1, 1), *u = NULL;
             size_t size;
@@ -760,7 +760,7 @@ TEST(bits_per_leaf) {
     REQUIRE(t != NULL);
     p = save(t, 0, &bytes);
     REQUIRE(p != NULL);
-    bits = 8.0 * (double)get(entry(p, 6) + 16, 8) / (double)c.n;
+    bits = 8.0 * (double)format_get(entry(p, 6) + 16, 8) / (double)c.n;
     all = 8.0 * (double)bytes / (double)c.n;
     start = test_now();
     CHECK(voxrt_tree_load_memory(NULL, p, bytes, &u) == VOXRT_OK);
@@ -900,7 +900,7 @@ TEST(random_damage_with_right_checksums) {
             if (i == 0) q[at] = (uint8_t)test_rng_u32(&r);
             else if (i == 1) q[at] ^= (uint8_t)(1u << test_rng_below(&r, 8));
             else if (i == 2 && at + 4 <= s) put(q + at, 4, test_rng_below(&r, 2) ? 0xffffffffu : test_rng_u32(&r));
-            else if (at + 8 <= s) put(q + (at & ~(size_t)7), 8, test_rng_below(&r, 2) ? ~(uint64_t)0 : get(q + (at & ~(size_t)7), 8) + 1);
+            else if (at + 8 <= s) put(q + (at & ~(size_t)7), 8, test_rng_below(&r, 2) ? ~(uint64_t)0 : format_get(q + (at & ~(size_t)7), 8) + 1);
         }
         seal(q, s);
         (void)try_load(q, s);
@@ -920,7 +920,7 @@ TEST(versions_and_sections) {
     for (encoding = 0; encoding < 2; encoding++) {
         p = save(t, encoding, &size);
         REQUIRE(p != NULL);
-        n = (size_t)get(p + 14, 2);
+        n = (size_t)format_get(p + 14, 2);
         q = (uint8_t *)malloc(size + 512);
         REQUIRE(q != NULL);
 #define AGAIN() memcpy(q, p, size)
@@ -932,9 +932,9 @@ TEST(versions_and_sections) {
         AGAIN(); put(q + 14, 2, 0); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 14, 2, n - 1); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 14, 2, 65535); EXPECT(VOXRT_ERR_FORMAT);
-        AGAIN(); put(q + 32, 4, get(q + 32, 4) ^ 1); EXPECT(VOXRT_ERR_FORMAT);
-        AGAIN(); put(q + 32, 4, get(q + 32, 4) | 8); EXPECT(VOXRT_OK); /* the same normals in the other code */
-        AGAIN(); put(q + 32, 4, get(q + 32, 4) | 16); EXPECT(VOXRT_ERR_FORMAT);
+        AGAIN(); put(q + 32, 4, format_get(q + 32, 4) ^ 1); EXPECT(VOXRT_ERR_FORMAT);
+        AGAIN(); put(q + 32, 4, format_get(q + 32, 4) | 8); EXPECT(VOXRT_OK); /* the same normals in the other code */
+        AGAIN(); put(q + 32, 4, format_get(q + 32, 4) | 16); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 36, 4, 0); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 36, 4, 21); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 36, 4, 7); EXPECT(VOXRT_ERR_FORMAT);
@@ -942,33 +942,33 @@ TEST(versions_and_sections) {
         AGAIN(); put(q + 40, 4, 0); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 40, 4, 33); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 40, 4, 31); EXPECT(VOXRT_OK);
-        AGAIN(); put(q + 48, 8, get(q + 48, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
-        AGAIN(); put(q + 56, 8, get(q + 56, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+        AGAIN(); put(q + 48, 8, format_get(q + 48, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+        AGAIN(); put(q + 56, 8, format_get(q + 56, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + 56, 8, 0xffffffffu); EXPECT(VOXRT_ERR_FORMAT);
         for (id = 1; id < 10; id++) {
             if (entry(p, id) == NULL) continue;
             AGAIN(); e = entry(q, id); put(e + 4, 4, 2); EXPECT(VOXRT_ERR_VERSION);
-            AGAIN(); e = entry(q, id); put(e + 8, 8, get(e + 8, 8) - 64); EXPECT(VOXRT_ERR_FORMAT); /* overlap */
-            AGAIN(); e = entry(q, id); put(e + 8, 8, get(e + 8, 8) + 64); EXPECT(VOXRT_ERR_FORMAT); /* gap */
-            AGAIN(); e = entry(q, id); put(e + 8, 8, get(e + 8, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); e = entry(q, id); put(e + 8, 8, format_get(e + 8, 8) - 64); EXPECT(VOXRT_ERR_FORMAT); /* overlap */
+            AGAIN(); e = entry(q, id); put(e + 8, 8, format_get(e + 8, 8) + 64); EXPECT(VOXRT_ERR_FORMAT); /* gap */
+            AGAIN(); e = entry(q, id); put(e + 8, 8, format_get(e + 8, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); e = entry(q, id); put(e + 8, 8, (uint64_t)0 - 64); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); e = entry(q, id); put(e + 16, 8, get(e + 16, 8) - 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); e = entry(q, id); put(e + 16, 8, format_get(e + 16, 8) - 1); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); e = entry(q, id); put(e + 16, 8, (uint64_t)0 - 1); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); e = entry(q, id); put(e + 24, 8, get(e + 24, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); e = entry(q, id); put(e + 24, 8, format_get(e + 24, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); e = entry(q, id); put(e, 4, 11); CHECK(is_damage((seal(q, size), try_load(q, size))));
-            at = (size_t)(get(entry(p, id) + 8, 8) - 1); /* what is before a section must be zero */
-            if (id != 1 && p[at] == 0 && get(entry(p, id) - 32, 8) + get(entry(p, id) - 24, 8) <= at) {
+            at = (size_t)(format_get(entry(p, id) + 8, 8) - 1); /* what is before a section must be zero */
+            if (id != 1 && p[at] == 0 && format_get(entry(p, id) - 32, 8) + format_get(entry(p, id) - 24, 8) <= at) {
                 AGAIN(); q[at] = 1; EXPECT(VOXRT_ERR_FORMAT);
             }
         }
         /* one more section: the table grows by an entry and still ends before the first section */
-        at = (size_t)get(p + 64 + 8, 8);
+        at = (size_t)format_get(p + 64 + 8, 8);
         for (id = 0; id < 2; id++) {
             size_t end = (size + 63) & ~(size_t)63, move = 64 + (n + 1) * 40 > at ? 64 : 0, i;
             memset(q, 0, size + 512);
             memcpy(q, p, 64 + n * 40);
             memcpy(q + at + move, p + at, size - at);
-            for (i = 0; i < n; i++) put(q + 64 + 40 * i + 8, 8, get(q + 64 + 40 * i + 8, 8) + move);
+            for (i = 0; i < n; i++) put(q + 64 + 40 * i + 8, 8, format_get(q + 64 + 40 * i + 8, 8) + move);
             put(q + 14, 2, n + 1);
             e = q + 64 + 40 * n;
             put(e, 4, id == 0 ? 0x80000001u : 77u);
@@ -983,7 +983,7 @@ TEST(versions_and_sections) {
                 uint32_t second;
                 size_t from = at + move, more = 64 + (n + 2) * 40 > from ? 64 : 0, last = end + move + 64 + more;
                 put(q + 14, 2, n + 2);
-                for (i = 0; i < n + 1; i++) put(q + 64 + 40 * i + 8, 8, get(q + 64 + 40 * i + 8, 8) + more);
+                for (i = 0; i < n + 1; i++) put(q + 64 + 40 * i + 8, 8, format_get(q + 64 + 40 * i + 8, 8) + more);
                 memmove(q + from + more, q + from, end + move + 64 - from);
                 memset(q + 64 + 40 * (n + 1), 0, from + more - (64 + 40 * (n + 1)));
                 put(e + 48, 8, last);
@@ -1022,15 +1022,15 @@ TEST(wrong_values) {
         REQUIRE(p != NULL);
         q = (uint8_t *)malloc(size);
         REQUIRE(q != NULL);
-        place = (size_t)get(entry(p, 1) + 8, 8);
+        place = (size_t)format_get(entry(p, 1) + 8, 8);
         for (i = 0; i < 4; i++) {
             memcpy(&bits, &bad[i], 8);
             AGAIN(); put(q + place + 24, 8, bits); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + place + 8, 8, bits); EXPECT(i < 2 ? VOXRT_ERR_FORMAT : VOXRT_OK);
         }
         for (i = 0; i < 6; i++) { /* a box that is too large or too little */
-            AGAIN(); put(q + place + 32 + 4 * i, 4, get(q + place + 32 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); put(q + place + 32 + 4 * i, 4, get(q + place + 32 + 4 * i, 4) - 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + place + 32 + 4 * i, 4, format_get(q + place + 32 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + place + 32 + 4 * i, 4, format_get(q + place + 32 + 4 * i, 4) - 1); EXPECT(VOXRT_ERR_FORMAT);
         }
         for (i = 0; i < 2; i++) { /* a depth that no tree has: where it stands */
             voxrt_tree *u = NULL;
@@ -1044,29 +1044,30 @@ TEST(wrong_values) {
         AGAIN(); put(q + place + 56, 4, 0); EXPECT(VOXRT_ERR_FORMAT);
         AGAIN(); put(q + place + 60, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
         for (i = 0; i < 10; i++) {
-            AGAIN(); put(q + place + 64 + 4 * i, 4, get(q + place + 64 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); put(q + place + 104 + 4 * i, 4, get(q + place + 104 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + place + 64 + 4 * i, 4, format_get(q + place + 64 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + place + 104 + 4 * i, 4, format_get(q + place + 104 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
         }
         if (encoding == 1) {
-            size_t nodes = (size_t)get(entry(p, 3) + 8, 8), leaves = (size_t)get(entry(p, 4) + 8, 8), ranks = (size_t)get(entry(p, 5) + 8, 8);
+            size_t nodes = (size_t)format_get(entry(p, 3) + 8, 8), leaves = (size_t)format_get(entry(p, 4) + 8, 8),
+                ranks = (size_t)format_get(entry(p, 5) + 8, 8);
             AGAIN(); put(q + nodes, 8, 0); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); put(q + nodes, 8, get(q + nodes, 8) | (uint64_t)1 << 63); EXPECT(VOXRT_ERR_FORMAT); /* odd depth: octant 0 only */
+            AGAIN(); put(q + nodes, 8, format_get(q + nodes, 8) | (uint64_t)1 << 63); EXPECT(VOXRT_ERR_FORMAT); /* odd depth: octant 0 only */
             AGAIN(); put(q + nodes + 8, 4, 0xffffffffu); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + nodes + 16 + 12, 4, 99); EXPECT(VOXRT_ERR_FORMAT);
             AGAIN(); put(q + leaves + 16, 8, 0); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); put(q + leaves + (size_t)get(entry(p, 4) + 16, 8) - 8, 8, 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + leaves + (size_t)format_get(entry(p, 4) + 16, 8) - 8, 8, 1); EXPECT(VOXRT_ERR_FORMAT);
             { /* an empty leaf node, its voxel moved to another one of the same 16: only the empty mask tells */
                 size_t one[2] = {0, 0}, found = 0, k;
                 for (k = 0; k < 16 && found < 2; k++)
-                    if (slow_bits(get(p + leaves + 8 * k, 8)) == 1) one[found++] = leaves + 8 * k;
+                    if (slow_bits(format_get(p + leaves + 8 * k, 8)) == 1) one[found++] = leaves + 8 * k;
                 CHECK(found == 2);
                 AGAIN();
                 put(q + one[0], 8, 0);
-                put(q + one[1], 8, get(q + one[1], 8) | (get(q + one[1], 8) > 255 ? 1u : 0x100u));
+                put(q + one[1], 8, format_get(q + one[1], 8) | (format_get(q + one[1], 8) > 255 ? 1u : 0x100u));
                 EXPECT(VOXRT_ERR_FORMAT);
             }
             AGAIN(); put(q + ranks, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
-            AGAIN(); put(q + ranks + (size_t)get(entry(p, 5) + 16, 8) - 4, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + ranks + (size_t)format_get(entry(p, 5) + 16, 8) - 4, 4, 1); EXPECT(VOXRT_ERR_FORMAT);
         }
         free(q);
         free(p);
@@ -1086,20 +1087,20 @@ TEST(wrong_counts_without_attributes) {
         REQUIRE(p != NULL);
         q = (uint8_t *)malloc(size);
         REQUIRE(q != NULL);
-        place = (size_t)get(entry(p, 1) + 8, 8);
+        place = (size_t)format_get(entry(p, 1) + 8, 8);
         AGAIN(); EXPECT(VOXRT_OK);
         for (i = 0; i < 10; i++) {
-            AGAIN(); put(q + place + 104 + 4 * i, 4, get(q + place + 104 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
+            AGAIN(); put(q + place + 104 + 4 * i, 4, format_get(q + place + 104 + 4 * i, 4) + 1); EXPECT(VOXRT_ERR_FORMAT);
         }
-        AGAIN(); put(q + 56, 8, get(q + 56, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
+        AGAIN(); put(q + 56, 8, format_get(q + 56, 8) + 1); EXPECT(VOXRT_ERR_FORMAT);
         for (i = 1; encoding == 0 && i < t->wide; i++) { /* one node more or less, wherever it is counted */
             uint32_t k, less;
             for (less = 0; less < 2; less++) {
                 uint64_t change = less ? ~(uint64_t)0 : 1;
                 AGAIN();
-                put(q + place + 64 + 4 * i, 4, get(q + place + 64 + 4 * i, 4) + change);
-                put(q + 48, 8, get(q + 48, 8) + change);
-                for (k = 0; k < 6; k++) if (entry(q, 6) == q + 64 + 40 * k) put(q + 64 + 40 * k + 24, 8, get(q + 48, 8));
+                put(q + place + 64 + 4 * i, 4, format_get(q + place + 64 + 4 * i, 4) + change);
+                put(q + 48, 8, format_get(q + 48, 8) + change);
+                for (k = 0; k < 6; k++) if (entry(q, 6) == q + 64 + 40 * k) put(q + 64 + 40 * k + 24, 8, format_get(q + 48, 8));
                 EXPECT(VOXRT_ERR_FORMAT);
             }
         }
@@ -1112,7 +1113,7 @@ TEST(wrong_counts_without_attributes) {
     for (encoding = 0; encoding < 2; encoding++) {
         p = save(t, (int)encoding, &size);
         REQUIRE(p != NULL);
-        place = (size_t)get(entry(p, 1) + 8, 8);
+        place = (size_t)format_get(entry(p, 1) + 8, 8);
         put(p + 36, 4, 1);
         put(p + 40, 4, 2);
         for (i = 0; i < 6; i++) put(p + place + 32 + 4 * i, 4, i < 3 ? 0 : 2);
@@ -1141,16 +1142,16 @@ TEST(hostile_counts) {
             wide = t->wide;
             p = save(t, encoding, &size);
             REQUIRE(p != NULL);
-            place = (size_t)get(entry(p, 1) + 8, 8);
+            place = (size_t)format_get(entry(p, 1) + 8, 8);
             nodes = wide > 1 ? 4000000000u : 1;
             put(p + place + 64 + 4 * (wide - 1), 4, nodes);
             put(p + place + 104 + 4 * (wide - 1), 4, 4000000000u);
-            for (id = 0; id + 1 < wide; id++) nodes += get(p + place + 64 + 4 * id, 4);
-            for (id = 0; id < wide; id++) attributes += get(p + place + 104 + 4 * id, 4);
+            for (id = 0; id + 1 < wide; id++) nodes += format_get(p + place + 64 + 4 * id, 4);
+            for (id = 0; id < wide; id++) attributes += format_get(p + place + 104 + 4 * id, 4);
             attributes += nodes;
             put(p + 48, 8, nodes);
             put(p + 56, 8, 4200000000u);
-            if (encoding == 0) put(p + get(entry(p, 6) + 8, 8), 4, wide - 1 + (wide > 1 ? 976563u : 1u));
+            if (encoding == 0) put(p + format_get(entry(p, 6) + 8, 8), 4, wide - 1 + (wide > 1 ? 976563u : 1u));
             for (id = 3; id < 8; id++) {
                 e = entry(p, id);
                 if (e != NULL) put(e + 24, 8, id == 7 ? attributes : id == 6 ? nodes : 4000000000u);

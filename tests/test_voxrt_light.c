@@ -296,7 +296,7 @@ TEST(lamps_beside_walls_make_no_dots) {
 
 /* ---- ways of rays ---- */
 
-static voxrt_columns *hall(uint32_t n, uint32_t depth) {
+static voxrt_columns *light_hall(uint32_t n, uint32_t depth) {
     voxrt_columns_desc d;
     voxrt_columns *c = NULL;
     voxrti_insert in;
@@ -331,7 +331,7 @@ TEST(ways_of_rays) {
     uint32_t i, a, wrong_ours = 0, wrong_eps = 0, wrong_march[3] = {0, 0, 0}, hits = 0;
     uint64_t longest = 0;
     rng_state = 5;
-    c = hall(128, 64);
+    c = light_hall(128, 64);
     for (i = 0; i < N; i++) {
         static const uint32_t points[3] = {60, 600, 6000};
         voxrt_ray ray;
@@ -433,7 +433,7 @@ TEST(points_go_where_sums_say) {
     uint32_t round, i, k;
     rng_state = 9;
     for (round = 0; round < 8; round++) {
-        voxrt_columns *c = hall(64, 64), *want = hall(64, 64);
+        voxrt_columns *c = light_hall(64, 64), *want = light_hall(64, 64);
         voxrt_columns_insert_desc d;
         voxrt_columns_insert_stats st;
         uint64_t rejected = 0, outside = 0;

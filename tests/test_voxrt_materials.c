@@ -9,11 +9,11 @@
 enum { SIDE = 96, CELLS = 64, MOST = 40000 };
 
 typedef struct list { voxrt_voxel v[MOST]; uint8_t finish[MOST]; size_t n; } list;
-static list cells;
+static list materials_cells;
 
-static void add(uint32_t x, uint32_t y, uint32_t z, int r, int g, int b, int finish) {
-    voxrt_voxel *v = &cells.v[cells.n];
-    if (cells.n == MOST) return;
+static void materials_add(uint32_t x, uint32_t y, uint32_t z, int r, int g, int b, int finish) {
+    voxrt_voxel *v = &materials_cells.v[materials_cells.n];
+    if (materials_cells.n == MOST) return;
     memset(v, 0, sizeof *v);
     v->x = x;
     v->y = y;
@@ -21,14 +21,14 @@ static void add(uint32_t x, uint32_t y, uint32_t z, int r, int g, int b, int fin
     v->rgb[0] = (uint8_t)r;
     v->rgb[1] = (uint8_t)g;
     v->rgb[2] = (uint8_t)b;
-    cells.finish[cells.n++] = (uint8_t)finish;
+    materials_cells.finish[materials_cells.n++] = (uint8_t)finish;
 }
 
 static void add_box(uint32_t x0, uint32_t x1, uint32_t y0, uint32_t y1, uint32_t z0, uint32_t z1, int r, int g, int b, int finish) {
     uint32_t x, y, z;
     for (x = x0; x < x1; x++)
         for (y = y0; y < y1; y++)
-            for (z = z0; z < z1; z++) add(x, y, z, r, g, b, finish);
+            for (z = z0; z < z1; z++) materials_add(x, y, z, r, g, b, finish);
 }
 
 static void mirror(voxrt_finish *f, float share) {
@@ -43,14 +43,14 @@ static void glass(voxrt_finish *f, float share, float index) {
     f->refraction = index;
 }
 
-static voxrt_tree *make(const voxrt_finish *finishes, size_t count) { /* of the cells: one is a unit cube */
+static voxrt_tree *materials_make(const voxrt_finish *finishes, size_t count) { /* of the cells: one is a unit cube */
     voxrt_build_desc d;
     voxrt_tree *t = NULL;
     memset(&d, 0, sizeof d);
     d.finishes = finishes;
     d.finish_count = count;
-    d.voxel_finish = count != 0 ? cells.finish : NULL;
-    CHECK(voxrt_tree_from_voxels(&d, cells.v, cells.n, 6, &t) == VOXRT_OK);
+    d.voxel_finish = count != 0 ? materials_cells.finish : NULL;
+    CHECK(voxrt_tree_from_voxels(&d, materials_cells.v, materials_cells.n, 6, &t) == VOXRT_OK);
     return t;
 }
 
@@ -121,7 +121,7 @@ static int draw(const voxrt_render_desc *d, const voxrt_tree *t, float (*rgba)[4
     image.rgba = rgba[0];
     return voxrt_render(d, t, &image, NULL) == VOXRT_OK;
 }
-static float picture[2][SIDE * SIDE][4];
+static float materials_picture[2][SIDE * SIDE][4];
 
 /* ---- mirrors ---- */
 
@@ -131,7 +131,7 @@ TEST(mirrors_show_the_mirrored_scene) {
     voxrt_render_desc d;
     uint32_t i, k, side, other, seen = 0, seed = 1;
     for (side = 0; side < 2; side++) {
-        cells.n = 0;
+        materials_cells.n = 0;
         for (i = 0; i < 60; i++) { /* lumps before the wall; its visible face is at x = 33 */
             uint32_t p[3];
             for (k = 0; k < 3; k++) {
@@ -141,20 +141,21 @@ TEST(mirrors_show_the_mirrored_scene) {
             add_box(p[0], p[0] + 2, p[1], p[1] + 2, p[2], p[2] + 2, (int)(20 + 4 * i), (int)(255 - 4 * i), (int)(i * 37 % 256), 0);
         }
         seed = 1;
-        other = (uint32_t)cells.n;
+        other = (uint32_t)materials_cells.n;
         mirror(&f, 1);
         if (side == 0) add_wall(32, 90, 90, 90, 1);
-        else for (i = 0; i < other; i++) add(65 - cells.v[i].x, cells.v[i].y, cells.v[i].z, cells.v[i].rgb[0], cells.v[i].rgb[1], cells.v[i].rgb[2], 0);
-        t = make(&f, 1);
+        else for (i = 0; i < other; i++) materials_add(65 - materials_cells.v[i].x, materials_cells.v[i].y, materials_cells.v[i].z,
+            materials_cells.v[i].rgb[0], materials_cells.v[i].rgb[1], materials_cells.v[i].rgb[2], 0);
+        t = materials_make(&f, 1);
         look_unlit(&d, 50, 60.37f, 33.1f, 31.7f, 33, 32, 32);
         d.background[0] = 0.25f;
         d.background[3] = 1;
-        CHECK(draw(&d, t, picture[side]));
+        CHECK(draw(&d, t, materials_picture[side]));
         voxrt_tree_destroy(t);
     }
     for (i = other = 0; i < SIDE * SIDE; i++) {
-        other += memcmp(picture[0][i], picture[1][i], sizeof picture[0][i]) != 0;
-        seen += picture[0][i][0] != 0.25f;
+        other += memcmp(materials_picture[0][i], materials_picture[1][i], sizeof materials_picture[0][i]) != 0;
+        seen += materials_picture[0][i][0] != 0.25f;
     }
     CHECK_MSG(seen > 2000 && other <= 40, "%u pixels differ, %u show something", other, seen); /* rounding at edges */
 }
@@ -166,25 +167,25 @@ TEST(bounces_end) {
     voxrt_tree *t;
     uint32_t k;
     float expect = 0, weight = 1;
-    cells.n = 0;
+    materials_cells.n = 0;
     mirror(&f, 0.5f);
     f.emission[0] = 1; /* two walls that face each other: sums of 2^-k */
     add_wall(10, 0, 0, 0, 1);
     add_wall(50, 0, 0, 0, 1);
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     for (k = 1; k <= 6; k++) {
         look_unlit(&d, 1, 30, 32, 32, 10, 32.01f, 32.02f);
         d.bounces_plus_1 = k;
-        CHECK(draw(&d, t, picture[0]));
+        CHECK(draw(&d, t, materials_picture[0]));
         expect += weight;
         weight *= 0.5f;
-        CHECK_NEAR(picture[0][SIDE * SIDE / 2][0], expect, 1e-6);
+        CHECK_NEAR(materials_picture[0][SIDE * SIDE / 2][0], expect, 1e-6);
     }
     d.bounces_plus_1 = 0;
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][SIDE * SIDE / 2][0], 2 - 1 / 256.0, 1e-6); /* eight */
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][SIDE * SIDE / 2][0], 2 - 1 / 256.0, 1e-6); /* eight */
     d.bounces_plus_1 = 34;
-    CHECK(!draw(&d, t, picture[0]));
+    CHECK(!draw(&d, t, materials_picture[0]));
     voxrt_tree_destroy(t);
 }
 
@@ -203,20 +204,20 @@ TEST(many_rays_wait) {
     voxrt_render_desc d;
     voxrt_tree *t;
     uint32_t i, k;
-    cells.n = 0;
+    materials_cells.n = 0;
     glass(&f, 0.5f, 0);
     f.mirror[0] = f.mirror[1] = f.mirror[2] = 1;
     for (i = 0; i < 8; i++) add_wall(3 + 8 * i, 0, 0, 0, 1);
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     for (k = 0; k < 4; k++) {
         const double expect = leaves(8, 3.5, 0, 1, 0, bounces[k]);
         look_unlit(&d, 1, 31, 32.3f, 32.4f, 3, 32.35f, 32.45f);
         d.pixel_step = 4;
         d.bounces_plus_1 = bounces[k] + 1;
         for (i = 0; i < 4; i++) d.background[i] = 1;
-        CHECK(draw(&d, t, picture[0]));
+        CHECK(draw(&d, t, materials_picture[0]));
         CHECK((k == 3 || expect > 0) && expect < 1);
-        for (i = 0; i < SIDE * SIDE; i += 97) CHECK_NEAR(picture[0][i][1], expect, 1e-6);
+        for (i = 0; i < SIDE * SIDE; i += 97) CHECK_NEAR(materials_picture[0][i][1], expect, 1e-6);
     }
     voxrt_tree_destroy(t);
 }
@@ -287,15 +288,15 @@ TEST(glass_shifts_what_is_behind_it) {
     voxrt_render_desc d;
     voxrt_tree *t;
     uint32_t i, y, z, right = 0, sure = 0, plain = 0;
-    cells.n = 0;
+    materials_cells.n = 0;
     glass(&f, 1, index);
     for (y = 0; y < 64; y++)
-        for (z = 0; z < 64; z++) add(4, y, z, (int)(4 * y), (int)(4 * z), 7, 0);
+        for (z = 0; z < 64; z++) materials_add(4, y, z, (int)(4 * y), (int)(4 * z), 7, 0);
     add_wall(20, 255, 255, 255, 1);
     add_wall(40, 255, 255, 255, 1); /* its face at x = 41 is entered, that at x = 21 left */
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     look_unlit(&d, 20, 75, 70, 32, 41, 40, 32);
-    CHECK(draw(&d, t, picture[0]));
+    CHECK(draw(&d, t, materials_picture[0]));
     for (i = 0; i < SIDE * SIDE; i++) {
         voxrt_ray r;
         double p[3], u[3], l = 0, k, at[2], straight[2];
@@ -316,8 +317,9 @@ TEST(glass_shifts_what_is_behind_it) {
         /* red and green of the cell, less what is mirrored: their ratio stays */
         {
             const double red = voxrti_srgb_to_linear(4 * floor(at[0]) / 255), green = voxrti_srgb_to_linear(4 * floor(at[1]) / 255);
-            const double blue = voxrti_srgb_to_linear(7.0 / 255), share = (double)picture[0][i][2] / blue;
-            right += fabs((double)picture[0][i][0] - share * red) < 2e-3 && fabs((double)picture[0][i][1] - share * green) < 2e-3 && share > 0.8;
+            const double blue = voxrti_srgb_to_linear(7.0 / 255), share = (double)materials_picture[0][i][2] / blue;
+            right += fabs((double)materials_picture[0][i][0] - share * red) < 2e-3 &&
+                fabs((double)materials_picture[0][i][1] - share * green) < 2e-3 && share > 0.8;
             plain += floor(straight[0]) == floor(at[0]);
         }
     }
@@ -342,9 +344,9 @@ TEST(furnace) {
             look_unlit(&d, 18, 1.3f, 1.4f, 4.5f, 1, 1, 1); /* the floor is white, too */
             d.bounces_plus_1 = 33;
             for (i = 0; i < 4; i++) d.background[i] = 1;
-            CHECK(draw(&d, t, picture[0]));
+            CHECK(draw(&d, t, materials_picture[0]));
             for (i = 0; i < SIDE * SIDE; i++) {
-                const double v = (double)picture[0][i][1];
+                const double v = (double)materials_picture[0][i][1];
                 if (v == 1) continue;
                 hits++;
                 mean += v;
@@ -611,7 +613,7 @@ TEST(bodies_against_an_exact_tracer) {
             }
             d.geometry = &around;
             d.geometry_count = 1;
-            CHECK(draw(&d, t, picture[0]));
+            CHECK(draw(&d, t, materials_picture[0]));
             for (i = 0; i < SIDE * SIDE; i++) {
                 const voxrt_finish *in[4] = {NULL, NULL, NULL, NULL};
                 double o[3], u[3], l = 0, n[3], weight[3] = {1, 1, 1}, sum[3] = {0, 0, 0}, most = 0;
@@ -627,7 +629,7 @@ TEST(bodies_against_an_exact_tracer) {
                 if (exact_hit(b, count, o, u, n, &met) >= 1e30) continue;
                 if (k == 1 || k == 8) in[0] = &f[0];
                 exact_ray(b, count, o, u, in, 0, weight, sum);
-                for (a = 0; a < 3; a++) most = fmax(most, fabs(sum[a] - (double)picture[0][i][a]));
+                for (a = 0; a < 3; a++) most = fmax(most, fabs(sum[a] - (double)materials_picture[0][i][a]));
                 off += most;
                 wrong += most > 0.05;
                 seen++;
@@ -664,7 +666,7 @@ TEST(absorption_of_bodies_in_bodies) {
         voxrt_render_desc d;
         voxrt_tree *t;
         double expect[2] = {0, 0};
-        cells.n = 0;
+        materials_cells.n = 0;
         for (i = 0; i < 4; i++) {
             const float red = 0.01f * (float)(i + 1), green = 0.05f / (float)(i + 1);
             faint(&f[i], red, green);
@@ -675,11 +677,11 @@ TEST(absorption_of_bodies_in_bodies) {
             add_wall(cases[k].wall[i][1], 255, 255, 255, (int)i + 1);
         }
         add_wall(2, 255, 255, 255, 0);
-        t = make(f, 4);
+        t = materials_make(f, 4);
         look_unlit(&d, 1, 60, 32, 32, 30, 32.01f, 32.01f);
-        CHECK(draw(&d, t, picture[0]));
-        for (i = 0; i < 2; i++) CHECK_NEAR(picture[0][100][i], exp(expect[i]), 2e-4);
-        CHECK_NEAR(picture[0][100][2], 1, 1e-4);
+        CHECK(draw(&d, t, materials_picture[0]));
+        for (i = 0; i < 2; i++) CHECK_NEAR(materials_picture[0][100][i], exp(expect[i]), 2e-4);
+        CHECK_NEAR(materials_picture[0][100][2], 1, 1e-4);
         voxrt_tree_destroy(t);
     }
 }
@@ -690,21 +692,21 @@ TEST(eye_in_a_body) {
     voxrt_render_desc d;
     voxrt_tree *t;
     size_t i;
-    cells.n = 0;
+    materials_cells.n = 0;
     faint(&f, 0.05f, 0);
     f.transparency[0] = f.transparency[1] = f.transparency[2] = 0.5f;
     add_wall(20, 255, 255, 255, 1);
     add_wall(40, 255, 255, 255, 1);
-    for (i = 0; i < cells.n; i++) {
-        cells.v[i].has_normal = 1;
-        cells.v[i].normal[0] = cells.v[i].x == 20 ? -1.0f : 1.0f;
+    for (i = 0; i < materials_cells.n; i++) {
+        materials_cells.v[i].has_normal = 1;
+        materials_cells.v[i].normal[0] = materials_cells.v[i].x == 20 ? -1.0f : 1.0f;
     }
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     look_unlit(&d, 1, 30.5f, 32, 32, 20, 32.01f, 32.01f);
     d.background[0] = d.background[1] = d.background[3] = 1;
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][100][0], exp(-0.05 * 9.5), 1e-4); /* the face of the wall is at x = 21 */
-    CHECK_NEAR(picture[0][100][1], 1, 1e-4);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][100][0], exp(-0.05 * 9.5), 1e-4); /* the face of the wall is at x = 21 */
+    CHECK_NEAR(materials_picture[0][100][1], 1, 1e-4);
     voxrt_tree_destroy(t);
 }
 
@@ -718,7 +720,7 @@ TEST(light_gets_out_at_the_end) {
         voxrt_render_desc d;
         voxrt_tree *t;
         size_t i;
-        cells.n = 0;
+        materials_cells.n = 0;
         glass(&f[0], 1, 1.0001f); /* mirrors next to nothing */
         glass(&f[1], 1, 2);
         if (k == 0) {
@@ -726,19 +728,19 @@ TEST(light_gets_out_at_the_end) {
         } else {
             add_wall(6, 255, 255, 255, 2);
         }
-        for (i = 0; i < cells.n; i++) {
-            const uint32_t x = cells.v[i].x;
-            cells.v[i].has_normal = 1;
-            cells.v[i].normal[0] = x == 40 || x == 14 ? 1.0f : x == 20 ? -1.0f : -0.5f;
-            if (x == 6) cells.v[i].normal[1] = 0.8660254f; /* mirrors all of it, down */
+        for (i = 0; i < materials_cells.n; i++) {
+            const uint32_t x = materials_cells.v[i].x;
+            materials_cells.v[i].has_normal = 1;
+            materials_cells.v[i].normal[0] = x == 40 || x == 14 ? 1.0f : x == 20 ? -1.0f : -0.5f;
+            if (x == 6) materials_cells.v[i].normal[1] = 0.8660254f; /* mirrors all of it, down */
         }
         add_box(1, 3, 16, 29, 0, 64, 0, 0, 0, 0); /* black: what is mirrored goes there */
-        t = make(f, 2);
+        t = materials_make(f, 2);
         look_unlit(&d, 1, 30.5f, 32, 32, 20, 32.01f, 32.01f);
         d.bounces_plus_1 = k == 0 ? 4 : 2;
         for (i = 0; i < 4; i++) d.background[i] = 1;
-        CHECK(draw(&d, t, picture[0]));
-        CHECK_NEAR(picture[0][100][0], k == 0 ? 8.0 / 9.0 : 0, 1e-3); /* a ninth is mirrored where the second body begins */
+        CHECK(draw(&d, t, materials_picture[0]));
+        CHECK_NEAR(materials_picture[0][100][0], k == 0 ? 8.0 / 9.0 : 0, 1e-3); /* a ninth is mirrored where the second body begins */
         voxrt_tree_destroy(t);
     }
 }
@@ -747,7 +749,7 @@ TEST(absorption_by_length) {
     voxrt_finish f;
     voxrt_render_desc d;
     voxrt_tree *t;
-    cells.n = 0;
+    materials_cells.n = 0;
     glass(&f, 1, 1.0000001f); /* next to nothing is mirrored; not 1: it has an inside */
     f.refraction = 1.0001f;
     f.absorption[0] = 0.05f;
@@ -755,12 +757,12 @@ TEST(absorption_by_length) {
     add_wall(20, 255, 255, 255, 1);
     add_wall(40, 255, 255, 255, 1);
     add_wall(2, 255, 255, 255, 0);
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     look_unlit(&d, 1, 60, 32, 32, 30, 32.01f, 32.01f);
-    CHECK(draw(&d, t, picture[0])); /* from x = 41 to x = 21 */
-    CHECK_NEAR(picture[0][100][0], exp(-0.05 * 20), 1e-4);
-    CHECK_NEAR(picture[0][100][1], exp(-0.01 * 20), 1e-4);
-    CHECK_NEAR(picture[0][100][2], 1, 1e-4);
+    CHECK(draw(&d, t, materials_picture[0])); /* from x = 41 to x = 21 */
+    CHECK_NEAR(materials_picture[0][100][0], exp(-0.05 * 20), 1e-4);
+    CHECK_NEAR(materials_picture[0][100][1], exp(-0.01 * 20), 1e-4);
+    CHECK_NEAR(materials_picture[0][100][2], 1, 1e-4);
     voxrt_tree_destroy(t);
 }
 
@@ -775,44 +777,44 @@ TEST(light_goes_through_panes) {
         voxrt_finish f[2];
         voxrt_render_desc d;
         voxrt_tree *t;
-        cells.n = 0;
+        materials_cells.n = 0;
         glass(&f[0], 1, 0);
         memcpy(f[0].transparency, share, sizeof share);
         mirror(&f[1], 0.5f);
         add_box(0, 64, 4, 5, 0, 64, 255, 255, 255, 0);
         for (i = 0; i < panes; i++) add_box(0, 64, 40 + 8 * i, 41 + 8 * i, 0, 64, 255, 255, 255, i == 2 ? 2 : 1);
-        t = make(f, 2);
+        t = materials_make(f, 2);
         look(&d, 32, 30, 32, 32.1f, 4, 32.1f);
         d.camera.fov_y = 20;
         d.lights = &sun;
         d.light_count = 1;
         d.material = &m;
         d.shadows = 1;
-        CHECK(draw(&d, t, picture[panes != 0]));
+        CHECK(draw(&d, t, materials_picture[panes != 0]));
         for (a = 0; a < 3; a++) {
-            const double expect = panes == 3 ? 0 : (double)picture[0][777][a] * pow((double)share[a], (double)panes);
-            CHECK(picture[0][777][a] > 0.9f);
-            CHECK_NEAR(picture[panes != 0][777][a], expect, 1e-5);
+            const double expect = panes == 3 ? 0 : (double)materials_picture[0][777][a] * pow((double)share[a], (double)panes);
+            CHECK(materials_picture[0][777][a] > 0.9f);
+            CHECK_NEAR(materials_picture[panes != 0][777][a], expect, 1e-5);
         }
         d.bounces_plus_1 = panes + 1; /* as many as there are panes, and one less */
-        CHECK(draw(&d, t, picture[1]));
-        CHECK((picture[1][777][2] > 0.9f) == (panes != 3));
+        CHECK(draw(&d, t, materials_picture[1]));
+        CHECK((materials_picture[1][777][2] > 0.9f) == (panes != 3));
         d.bounces_plus_1 = panes;
-        if (panes > 1) CHECK(draw(&d, t, picture[1]) && picture[1][777][2] == 0.0f);
+        if (panes > 1) CHECK(draw(&d, t, materials_picture[1]) && materials_picture[1][777][2] == 0.0f);
         d.bounces_plus_1 = 1; /* panes are opaque then */
-        CHECK(draw(&d, t, picture[1]));
-        CHECK(picture[1][777][0] == (panes == 0 ? picture[0][777][0] : 0.0f));
+        CHECK(draw(&d, t, materials_picture[1]));
+        CHECK(materials_picture[1][777][0] == (panes == 0 ? materials_picture[0][777][0] : 0.0f));
         voxrt_tree_destroy(t);
     }
 }
 
 /* Layers at right angles to y over a part of a floor; up: their normals go up, else down. */
 static void add_layers(uint32_t y0, uint32_t y1, int up, int finish) {
-    size_t i = cells.n;
+    size_t i = materials_cells.n;
     add_box(24, 40, y0, y1, 24, 40, 255, 255, 255, finish);
-    for (; i < cells.n; i++) {
-        cells.v[i].has_normal = 1;
-        cells.v[i].normal[1] = up ? 1.0f : -1.0f;
+    for (; i < materials_cells.n; i++) {
+        materials_cells.v[i].has_normal = 1;
+        materials_cells.v[i].normal[1] = up ? 1.0f : -1.0f;
     }
 }
 
@@ -823,16 +825,16 @@ static double lit(const voxrt_finish *f, size_t count, float lamp) {
     voxrt_render_desc d;
     voxrt_tree *t;
     add_layers(4, 5, 1, 0);
-    t = make(f, count);
+    t = materials_make(f, count);
     look(&d, 32.4f, 9, 32.3f, 32.45f, 5, 32.35f);
     d.camera.fov_y = 1;
     d.lights = &sun;
     d.light_count = 1;
     d.material = &m;
     d.shadows = 1;
-    CHECK(draw(&d, t, picture[0]));
+    CHECK(draw(&d, t, materials_picture[0]));
     voxrt_tree_destroy(t);
-    return (double)picture[0][SIDE * SIDE / 2][0];
+    return (double)materials_picture[0][SIDE * SIDE / 2][0];
 }
 
 TEST(light_goes_through_bodies) {
@@ -842,20 +844,20 @@ TEST(light_goes_through_bodies) {
     glass(&f[0], 0.5f, 0); /* panes, seen from behind: there is no body for their absorption */
     f[0].absorption[0] = 0.1f;
     for (i = 1; i < 3; i++) {
-        cells.n = 0;
+        materials_cells.n = 0;
         add_layers(30, 31, 1, 1);
         if (i == 2) add_layers(40, 41, 1, 1);
         CHECK_NEAR(lit(f, 1, 0), i == 2 ? 0.25 : 0.5, 1e-4);
     }
     faint(&f[0], 0.05f, 0);
-    cells.n = 0;
+    materials_cells.n = 0;
     add_layers(20, 21, 0, 1);
     add_layers(40, 41, 1, 1);
     CHECK_NEAR(lit(f, 1, 0), exp(-0.05 * 20), 1e-3);
     CHECK_NEAR(lit(f, 1, 60), exp(-0.05 * 20), 1e-3);
     CHECK_NEAR(lit(f, 1, 30.5f), exp(-0.05 * 10.5), 1e-3); /* the lamp is in it */
     CHECK_NEAR(lit(f, 1, 21), exp(-0.05 * 1), 1e-3);       /* and just behind its surface */
-    cells.n = 0;
+    materials_cells.n = 0;
     add_layers(12, 13, 0, 1);
     add_layers(52, 53, 1, 1);
     add_layers(22, 23, 0, 2);
@@ -864,11 +866,11 @@ TEST(light_goes_through_bodies) {
     faint(&f[1], 0.1f, 0);
     CHECK_NEAR(lit(f, 2, 0), exp(-0.02 * 30 - 0.1 * 10), 1e-3);
     CHECK_NEAR(lit(f, 2, 27), exp(-0.02 * 10 - 0.1 * 5), 1e-3);
-    cells.n = 0; /* the floor is in the body */
+    materials_cells.n = 0; /* the floor is in the body */
     add_layers(50, 51, 1, 1);
     v = lit(f, 1, 0);
     CHECK(v > exp(-0.02 * 45) - 1e-6 && v < exp(-0.02 * 43) + 1e-6); /* but for what is near the floor */
-    cells.n = 0; /* hulls of three voxels: rays pass some of them, behind each surface */
+    materials_cells.n = 0; /* hulls of three voxels: rays pass some of them, behind each surface */
     glass(&f[0], 0.9f, 1.5f);
     for (i = 0; i < 3; i++) {
         add_layers(12 + 14 * i, 15 + 14 * i, 0, 1);
@@ -928,18 +930,18 @@ TEST(surfaces_without_thickness) {
         d.geometry = &g;
         d.geometry_count = 1;
         for (i = 0; i < 4; i++) d.background[i] = 0.25f;
-        CHECK(draw(&d, NULL, picture[0]));
+        CHECK(draw(&d, NULL, materials_picture[0]));
         for (i = wrong = 0; i < SIDE * SIDE; i++) {
             voxrt_ray r;
             CHECK(voxrt_camera_ray(&d.camera, SIDE, SIDE, (double)(i % SIDE) + 0.5, (double)(i / SIDE) + 0.5, &r) == VOXRT_OK);
-            wrong += fabsf(picture[0][i][2] - (k == 0 || r.dir[1] >= 0 ? 0.25f : 0.5f + 0.5f * 0.25f)) > 1e-5f;
+            wrong += fabsf(materials_picture[0][i][2] - (k == 0 || r.dir[1] >= 0 ? 0.25f : 0.5f + 0.5f * 0.25f)) > 1e-5f;
         }
         CHECK_MSG(wrong == 0, "plane %u: %u pixels", k, wrong);
     }
     p.y = 20; /* its shadow on a floor */
-    cells.n = 0;
+    materials_cells.n = 0;
     add_layers(4, 5, 1, 0);
-    t = make(NULL, 0);
+    t = materials_make(NULL, 0);
     look(&d, 32, 9, 32, 32.05f, 5, 32.05f);
     d.camera.fov_y = 5;
     d.geometry = &g;
@@ -947,11 +949,11 @@ TEST(surfaces_without_thickness) {
     d.lights = &sun;
     d.light_count = 1;
     d.material = &m;
-    CHECK(draw(&d, t, picture[0]));
+    CHECK(draw(&d, t, materials_picture[0]));
     d.shadows = 1;
-    CHECK(draw(&d, t, picture[1]));
-    CHECK(picture[0][99][0] > 0.9f);
-    CHECK_NEAR(picture[1][99][0], 0.5 * (double)picture[0][99][0], 1e-6);
+    CHECK(draw(&d, t, materials_picture[1]));
+    CHECK(materials_picture[0][99][0] > 0.9f);
+    CHECK_NEAR(materials_picture[1][99][0], 0.5 * (double)materials_picture[0][99][0], 1e-6);
     voxrt_tree_destroy(t);
 }
 
@@ -959,33 +961,33 @@ TEST(what_is_seen_through_glass_is_background) {
     voxrt_finish f;
     voxrt_render_desc d;
     voxrt_tree *t;
-    cells.n = 0;
+    materials_cells.n = 0;
     glass(&f, 0.75f, 0);
     add_wall(20, 255, 255, 255, 1);
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     look_unlit(&d, 5, 60, 32, 32, 30, 32, 32);
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][5][3], 0.25, 1e-6); /* no background: transparent */
-    CHECK_NEAR(picture[0][5][0], 0.25, 1e-6);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][5][3], 0.25, 1e-6); /* no background: transparent */
+    CHECK_NEAR(materials_picture[0][5][0], 0.25, 1e-6);
     d.background[0] = 1;
     d.background[1] = 0.5f;
     d.background[3] = 1;
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][5][3], 1, 1e-6);
-    CHECK_NEAR(picture[0][5][0], 1, 1e-6);
-    CHECK_NEAR(picture[0][5][1], 0.25 + 0.75 * 0.5, 1e-6);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][5][3], 1, 1e-6);
+    CHECK_NEAR(materials_picture[0][5][0], 1, 1e-6);
+    CHECK_NEAR(materials_picture[0][5][1], 0.25 + 0.75 * 0.5, 1e-6);
     voxrt_tree_destroy(t);
     f.transparency[0] = 0.9f; /* coverage is what colours let through on the average */
     f.transparency[1] = 0.3f;
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     memset(d.background, 0, sizeof d.background);
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][5][3], 1 - 1.95 / 3, 1e-6);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][5][3], 1 - 1.95 / 3, 1e-6);
     voxrt_tree_destroy(t);
     mirror(&f, 1); /* a mirror is not transparent, whatever it shows */
-    t = make(&f, 1);
-    CHECK(draw(&d, t, picture[0]));
-    CHECK(picture[0][5][3] == 1.0f && picture[0][5][0] == 0.0f);
+    t = materials_make(&f, 1);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK(materials_picture[0][5][3] == 1.0f && materials_picture[0][5][0] == 0.0f);
     voxrt_tree_destroy(t);
 }
 
@@ -996,34 +998,34 @@ TEST(where_rays_bounce) {
     voxrt_render_desc d;
     voxrt_tree *t, *plain;
     uint32_t k;
-    cells.n = 0;
+    materials_cells.n = 0;
     mirror(&f, 0.5f);
     add_wall(20, 255, 255, 255, 1);
-    t = make(&f, 1);
-    plain = make(NULL, 0);
+    t = materials_make(&f, 1);
+    plain = materials_make(NULL, 0);
     look_unlit(&d, 20, 60, 32, 32, 30, 32, 32);
     d.material = &dim;
     for (k = 0; k < 4; k++) d.background[k] = 1;
     d.view = VOXRT_VIEW_SPLIT;
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][SIDE * SIDE / 2 + 5][0], 1, 1e-6);                 /* colours */
-    CHECK_NEAR(picture[0][SIDE * SIDE / 2 + SIDE / 2][0], 0.5 * 0.25 + 0.5, 1e-6); /* shaded: half is mirrored */
-    CHECK_NEAR(picture[0][SIDE * SIDE / 2 + SIDE - 5][0], 0.25, 1e-6);       /* brightness */
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][SIDE * SIDE / 2 + 5][0], 1, 1e-6);                 /* colours */
+    CHECK_NEAR(materials_picture[0][SIDE * SIDE / 2 + SIDE / 2][0], 0.5 * 0.25 + 0.5, 1e-6); /* shaded: half is mirrored */
+    CHECK_NEAR(materials_picture[0][SIDE * SIDE / 2 + SIDE - 5][0], 0.25, 1e-6);       /* brightness */
     d.view = VOXRT_VIEW_SHADED;
     d.thesis_compose = 1;
-    CHECK(draw(&d, t, picture[0]) && draw(&d, plain, picture[1]));
-    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    CHECK(draw(&d, t, materials_picture[0]) && draw(&d, plain, materials_picture[1]));
+    CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0);
     d.thesis_compose = 0;
     d.stage = VOXRT_STAGE_TRACE;
-    CHECK(draw(&d, t, picture[0]) && draw(&d, plain, picture[1]));
-    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    CHECK(draw(&d, t, materials_picture[0]) && draw(&d, plain, materials_picture[1]));
+    CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0);
     voxrt_tree_destroy(plain);
     voxrt_tree_destroy(t);
     f.diffuse = 0.5f;
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     d.stage = VOXRT_STAGE_FULL;
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][SIDE * SIDE / 2 + SIDE / 2][0], 0.5 * 0.5 * 0.25 + 0.5, 1e-6);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][SIDE * SIDE / 2 + SIDE / 2][0], 0.5 * 0.5 * 0.25 + 0.5, 1e-6);
     voxrt_tree_destroy(t);
 }
 
@@ -1044,18 +1046,18 @@ TEST(steps_of_the_caller_see_bounces) {
     voxrt_finish f;
     voxrt_render_desc d;
     voxrt_tree *t;
-    cells.n = 0;
+    materials_cells.n = 0;
     mirror(&f, 0.5f);
     add_wall(10, 0, 0, 0, 1);
     add_wall(50, 255, 255, 255, 0);
-    t = make(&f, 1);
+    t = materials_make(&f, 1);
     look_unlit(&d, 1, 30, 32, 32, 10, 32.01f, 32.02f);
     memset(&own, 0, sizeof own);
     own.shade_fn = paint_green;
     d.states = &own;
-    CHECK(draw(&d, t, picture[0]));
-    CHECK_NEAR(picture[0][99][0], 0, 1e-6);
-    CHECK_NEAR(picture[0][99][1], 0.5 * 0.75, 1e-6);
+    CHECK(draw(&d, t, materials_picture[0]));
+    CHECK_NEAR(materials_picture[0][99][0], 0, 1e-6);
+    CHECK_NEAR(materials_picture[0][99][1], 0.5 * 0.75, 1e-6);
     voxrt_tree_destroy(t);
 }
 
@@ -1119,17 +1121,17 @@ TEST(phong_of_an_entry) {
     look(&d, 1.5f, 1.7f, 3.5f, 1, 1.1f, 1);
     d.camera.fov_y = 12; /* nothing but the ball */
     d.shadows = 1;
-    CHECK(draw(&d, shiny, picture[0]));
+    CHECK(draw(&d, shiny, materials_picture[0]));
     m.ambient[0] = m.ambient[1] = m.ambient[2] = 0.05f;
     m.diffuse = 1;
     m.specular = 0.5f;
     m.shininess = 20;
     d.material = &m;
-    CHECK(draw(&d, plain, picture[1]));
-    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    CHECK(draw(&d, plain, materials_picture[1]));
+    CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0);
     m.shininess = 21;
-    CHECK(draw(&d, plain, picture[1]));
-    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) != 0);
+    CHECK(draw(&d, plain, materials_picture[1]));
+    CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) != 0);
     voxrt_tree_destroy(shiny);
     voxrt_tree_destroy(plain);
 }
@@ -1155,26 +1157,26 @@ TEST(same_bits_in_all_ways) {
     d.tolerance = 0.5f;
     d.env.thread_count = 1;
     d.isa = VOXRT_ISA_SCALAR;
-    CHECK(draw(&d, t, picture[0]));
+    CHECK(draw(&d, t, materials_picture[0]));
     CHECK(voxrt_tree_share(t, NULL, &shared) == VOXRT_OK);
     for (k = 0; k < 8; k++) {
         d.isa = (voxrt_isa)(k % 4);
         d.env.thread_count = k < 4 ? 1 : 3;
-        CHECK(draw(&d, k & 1 ? shared : t, picture[1]));
-        CHECK_MSG(memcmp(picture[0], picture[1], sizeof picture[0]) == 0, "way %u", k);
+        CHECK(draw(&d, k & 1 ? shared : t, materials_picture[1]));
+        CHECK_MSG(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0, "way %u", k);
     }
     memset(&stats, 0, sizeof stats);
     memset(&image, 0, sizeof image);
     image.width = image.height = SIDE;
-    image.rgba = picture[1][0];
+    image.rgba = materials_picture[1][0];
     CHECK(voxrt_render(&d, t, &image, &stats) == VOXRT_OK && stats.bounce.rays > 1000 && stats.bounce.hits < stats.bounce.rays);
-    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0);
     voxrt_tree_geometry(t, &g[0]);
     CHECK(g[0].glass == 1);
     d.geometry = g;
     d.geometry_count = 1;
-    CHECK(draw(&d, NULL, picture[1]));
-    CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+    CHECK(draw(&d, NULL, materials_picture[1]));
+    CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0);
     memset(&instance, 0, sizeof instance); /* where it was: also in a group */
     instance.geometry = g[0];
     instance.to_world[0] = instance.to_world[5] = instance.to_world[10] = 1;
@@ -1183,8 +1185,8 @@ TEST(same_bits_in_all_ways) {
     voxrt_group_geometry(group, &at);
     CHECK(at.glass == 1);
     d.geometry = &at;
-    CHECK(draw(&d, NULL, picture[1]));
-    for (i = k = 0; i < SIDE * SIDE; i++) k += fabsf(picture[0][i][0] - picture[1][i][0]) > 1e-3f; /* normals were rounded once more */
+    CHECK(draw(&d, NULL, materials_picture[1]));
+    for (i = k = 0; i < SIDE * SIDE; i++) k += fabsf(materials_picture[0][i][0] - materials_picture[1][i][0]) > 1e-3f; /* normals were rounded once more */
     CHECK_MSG(k < 20, "%u pixels differ", k);
     voxrt_group_destroy(group);
     voxrt_tree_destroy(shared);
@@ -1224,23 +1226,23 @@ TEST(coarser_cells_have_what_most_voxels_have) {
         voxrt_build_desc d;
         mirror(&f[0], 1);
         mirror(&f[1], 0.5f);
-        cells.n = 0;
+        materials_cells.n = 0;
         add_box(0, 2, 0, 2, 0, 1, 9, 9, 9, 2); /* of eight: four, three, one */
         add_box(0, 2, 0, 1, 1, 2, 9, 9, 9, 1);
-        add(0, 1, 1, 9, 9, 9, 1);
-        add(1, 1, 1, 9, 9, 9, 0);
+        materials_add(0, 1, 1, 9, 9, 9, 1);
+        materials_add(1, 1, 1, 9, 9, 9, 0);
         add_box(8, 10, 8, 10, 8, 10, 9, 9, 9, 0);
         add_box(32, 34, 0, 2, 0, 1, 9, 9, 9, 2); /* four each: the lower number */
         add_box(32, 34, 0, 2, 1, 2, 9, 9, 9, 1);
         add_box(48, 50, 0, 2, 0, 2, 9, 9, 9, 2); /* eight in one octant, and one in each of two */
-        add(50, 0, 0, 9, 9, 9, 1);
-        add(50, 2, 0, 9, 9, 9, 1);
+        materials_add(50, 0, 0, 9, 9, 9, 1);
+        materials_add(50, 2, 0, 9, 9, 9, 1);
         memset(&d, 0, sizeof d);
         d.finishes = f;
         d.finish_count = 2;
-        d.voxel_finish = cells.finish;
+        d.voxel_finish = materials_cells.finish;
         d.lod_method = lod ? VOXRT_LOD_MAJORITY : VOXRT_LOD_MEAN;
-        CHECK(voxrt_tree_from_voxels(&d, cells.v, cells.n, 6, &t) == VOXRT_OK);
+        CHECK(voxrt_tree_from_voxels(&d, materials_cells.v, materials_cells.n, 6, &t) == VOXRT_OK);
         memset(&td, 0, sizeof td);
         memset(&ray, 0, sizeof ray);
         ray.org[0] = 0.5f;
@@ -1317,10 +1319,10 @@ TEST(entries_are_pairs) {
     const uint8_t *palette;
     uint32_t i, n, seen = 0;
     for (i = 0; i < 3; i++) mirror(&f[i], 0.25f * (float)(i + 1));
-    cells.n = 0;
-    for (i = 0; i < 64; i++) add(i, i, i, i & 1 ? 200 : 10, 5, 5, i % 4 == 0 ? 3 : i % 4 == 1 ? 1 : 0);
-    t = make(f, 3);
-    u = make(NULL, 0);
+    materials_cells.n = 0;
+    for (i = 0; i < 64; i++) materials_add(i, i, i, i & 1 ? 200 : 10, 5, 5, i % 4 == 0 ? 3 : i % 4 == 1 ? 1 : 0);
+    t = materials_make(f, 3);
+    u = materials_make(NULL, 0);
     voxrt_tree_get_info(t, &info);
     voxrt_tree_get_info(u, &plain);
     CHECK_EQ_U64(info.finish_count, 2);
@@ -1335,8 +1337,8 @@ TEST(entries_are_pairs) {
     CHECK_EQ_U64(seen, 7);
     CHECK(voxrt_tree_finish(t, n) == NULL && voxrt_tree_finish(NULL, 0) == NULL && voxrt_tree_finish(u, 0) == NULL);
     voxrt_tree_destroy(u);
-    memset(cells.finish, 0, sizeof cells.finish); /* none is used: as if there were none */
-    u = make(f, 3);
+    memset(materials_cells.finish, 0, sizeof materials_cells.finish); /* none is used: as if there were none */
+    u = materials_make(f, 3);
     voxrt_tree_get_info(u, &info);
     CHECK(info.finish_count == 0 && info.total_bytes == plain.total_bytes && info.palette_count == plain.palette_count);
     voxrt_tree_destroy(u);
@@ -1359,12 +1361,12 @@ TEST(numbers_of_finishes) {
         memset(&d, 0, sizeof d);
         d.finishes = f;
         d.finish_count = 3;
-        d.voxel_finish = cells.finish;
+        d.voxel_finish = materials_cells.finish;
         d.disable_colors = i & 1;
-        cells.n = 0;
-        for (k = 0; k < 3; k++) add(7, 8, 9, 10, 20, 30, order[i][k]);
-        add(3, 3, 3, 1, 2, 3, 3);
-        CHECK(voxrt_tree_from_voxels(&d, cells.v, cells.n, 6, &t) == VOXRT_OK);
+        materials_cells.n = 0;
+        for (k = 0; k < 3; k++) materials_add(7, 8, 9, 10, 20, 30, order[i][k]);
+        materials_add(3, 3, 3, 1, 2, 3, 3);
+        CHECK(voxrt_tree_from_voxels(&d, materials_cells.v, materials_cells.n, 6, &t) == VOXRT_OK);
         memset(&ray, 0, sizeof ray);
         ray.org[0] = 7.5f;
         ray.org[1] = 8.5f;
@@ -1375,19 +1377,19 @@ TEST(numbers_of_finishes) {
         voxrt_tree_destroy(t);
     }
     for (i = 0; i < 3; i++) {
-        cells.n = 0;
-        add(1, 1, 1, 10, 10, 10, i == 1 ? 2 : 1);
-        add(2, 2, 2, 20, 20, 20, i == 1 ? 1 : 2);
+        materials_cells.n = 0;
+        materials_add(1, 1, 1, 10, 10, 10, i == 1 ? 2 : 1);
+        materials_add(2, 2, 2, 20, 20, 20, i == 1 ? 1 : 2);
         if (i == 2) mirror(&f[1], 0.6f);
-        t = make(f, 2);
+        t = materials_make(f, 2);
         hash[i] = voxrt_tree_hash(t);
         voxrt_tree_destroy(t);
     }
     CHECK(hash[0] != hash[1] && hash[0] != hash[2] && hash[1] != hash[2]);
     for (i = 0; i < 2; i++) { /* the same palette and finishes */
-        cells.n = 0;
-        for (k = 1; k < 4; k++) add(k, k, k, 10 * (int)k, 10, 10, k == 3 || (k == 2 && i == 1));
-        t = make(f, 1);
+        materials_cells.n = 0;
+        for (k = 1; k < 4; k++) materials_add(k, k, k, 10 * (int)k, 10, 10, k == 3 || (k == 2 && i == 1));
+        t = materials_make(f, 1);
         hash[i] = voxrt_tree_hash(t);
         voxrt_tree_destroy(t);
     }
@@ -1442,7 +1444,7 @@ static void *aligned_block(size_t size) {
 }
 static void free_block(void *p) { free(p); }
 
-static uint8_t *save(const voxrt_tree *t, voxrt_encoding encoding, size_t *size) {
+static uint8_t *materials_save(const voxrt_tree *t, voxrt_encoding encoding, size_t *size) {
     voxrt_save_desc d;
     uint8_t *p;
     memset(&d, 0, sizeof d);
@@ -1455,14 +1457,14 @@ static uint8_t *save(const voxrt_tree *t, voxrt_encoding encoding, size_t *size)
 
 static voxrt_tree *small_scene(void) {
     voxrt_finish f[2];
-    cells.n = 0;
+    materials_cells.n = 0;
     mirror(&f[0], 0.5f);
     glass(&f[1], 0.5f, 1.5f);
     f[1].absorption[2] = 3;
     add_box(10, 13, 10, 13, 10, 13, 50, 100, 200, 1);
     add_box(30, 33, 10, 13, 10, 13, 50, 100, 200, 2);
     add_box(30, 33, 30, 33, 10, 13, 50, 100, 20, 0);
-    return make(f, 2);
+    return materials_make(f, 2);
 }
 
 TEST(files_keep_finishes) {
@@ -1472,7 +1474,7 @@ TEST(files_keep_finishes) {
     CHECK(voxrt_tree_hash(t) == voxrt_tree_hash(shared));
     for (k = 0; k < 6; k++) {
         size_t size = 0, again = 0;
-        uint8_t *file = save(k & 1 ? shared : t, k < 2 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW, &size), *second;
+        uint8_t *file = materials_save(k & 1 ? shared : t, k < 2 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW, &size), *second;
         voxrt_tree *u = NULL;
         uint32_t i, n;
         REQUIRE(file != NULL);
@@ -1484,7 +1486,7 @@ TEST(files_keep_finishes) {
             const voxrt_finish *a = voxrt_tree_finish(t, i), *b = voxrt_tree_finish(u, i);
             CHECK((a == NULL) == (b == NULL) && (a == NULL || memcmp(a, b, sizeof *a) == 0));
         }
-        second = save(u, k < 2 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW, &again);
+        second = materials_save(u, k < 2 ? VOXRT_ENCODING_COMPACT : VOXRT_ENCODING_RAW, &again);
         CHECK(second != NULL && again == size && memcmp(file, second, size) == 0);
         free_block(second);
         voxrt_tree_destroy(u);
@@ -1501,7 +1503,7 @@ TEST(hostile_files) {
     REQUIRE(t != NULL);
     for (raw = 0; raw < 2; raw++) {
         size_t size = 0, i, section = 0, length = 0;
-        uint8_t *file = save(t, raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT, &size), *copy;
+        uint8_t *file = materials_save(t, raw ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT, &size), *copy;
         REQUIRE(file != NULL);
         for (i = 0; i < voxrti_load_u16(file + 14); i++) {
             const uint8_t *e = file + 64 + 40 * i;
@@ -1526,7 +1528,7 @@ TEST(hostile_files) {
                 look(&d, 60, 32, 50, 31, 12, 12);
                 d.shadows = 1;
                 d.pixel_step = 8;
-                CHECK(draw(&d, u, picture[0]));
+                CHECK(draw(&d, u, materials_picture[0]));
                 voxrt_tree_destroy(u);
             }
         }
@@ -1597,14 +1599,14 @@ TEST(models_keep_finishes) {
         voxrt_tree_destroy(u);
         look(&d, 1.3f, 2.2f, 4.0f, 1, 0.8f, 1);
         d.shadows = 1;
-        CHECK(draw(&d, t, picture[0]));
+        CHECK(draw(&d, t, materials_picture[0]));
         voxrt_model_geometry(copy, &g);
         voxrt_model_destroy(m); /* what it shared stays */
         CHECK(g.glass == (number == 2));
         d.geometry = &g;
         d.geometry_count = 1;
-        CHECK(draw(&d, NULL, picture[1]));
-        CHECK(memcmp(picture[0], picture[1], sizeof picture[0]) == 0);
+        CHECK(draw(&d, NULL, materials_picture[1]));
+        CHECK(memcmp(materials_picture[0], materials_picture[1], sizeof materials_picture[0]) == 0);
         for (level = 0; level <= 8; level++) { /* also of cells larger than blocks */
             voxrt_geometry whole;
             voxrt_tree_geometry(t, &whole);
@@ -1743,12 +1745,12 @@ TEST(clear_panes_shine) {
     static float rgba[16 * 16][4], sum[16 * 16][4];
     uint8_t rgba8[16 * 16][4];
     uint32_t k, a;
-    cells.n = 0;
+    materials_cells.n = 0;
     add_box(0, 16, 0, 16, 8, 9, 9, 9, 9, 1);
     memset(&b, 0, sizeof b);
     b.finishes = &f;
     b.finish_count = 1;
-    b.voxel_finish = cells.finish;
+    b.voxel_finish = materials_cells.finish;
     memset(&m, 0, sizeof m);
     m.width = m.height = 16;
     m.rgba = rgba[0];
@@ -1760,7 +1762,7 @@ TEST(clear_panes_shine) {
         glass(&f, k == 1 ? 0.9999f : 1, 0);
         memcpy(f.emission, shine, sizeof shine);
         d.background[3] = k == 2 ? 1.0f : 0.0f;
-        REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 4, &t) == VOXRT_OK);
+        REQUIRE(voxrt_tree_from_voxels(&b, materials_cells.v, materials_cells.n, 4, &t) == VOXRT_OK);
         CHECK(voxrt_render(&d, t, &m, NULL) == VOXRT_OK);
         for (a = 0; a < 3; a++) {
             CHECK_NEAR(rgba[8 * 16 + 8][a], shine[a], 1e-4);
@@ -1795,23 +1797,23 @@ TEST(eyes_behind_origins) {
     f.absorption[0] = 0.01f;
     f.absorption[1] = 0.05f;
     f.absorption[2] = 40.0f;
-    cells.n = 0;
+    materials_cells.n = 0;
     for (z = 0; z < 32; z++)
         for (y = 0; y < 32; y++)
             for (x = 0; x < 32; x++) {
                 const double u = x - 15.5, v = y - 15.5, w = z - 15.5, r = sqrt(u * u + v * v + w * w);
                 if (r < 12 || r > 14) continue;
-                add(x, y, z, 200, 200, 200, 1);
-                cells.v[cells.n - 1].has_normal = 1;
-                cells.v[cells.n - 1].normal[0] = (float)u;
-                cells.v[cells.n - 1].normal[1] = (float)v;
-                cells.v[cells.n - 1].normal[2] = (float)w;
+                materials_add(x, y, z, 200, 200, 200, 1);
+                materials_cells.v[materials_cells.n - 1].has_normal = 1;
+                materials_cells.v[materials_cells.n - 1].normal[0] = (float)u;
+                materials_cells.v[materials_cells.n - 1].normal[1] = (float)v;
+                materials_cells.v[materials_cells.n - 1].normal[2] = (float)w;
             }
     memset(&b, 0, sizeof b);
     b.finishes = &f;
     b.finish_count = 1;
-    b.voxel_finish = cells.finish;
-    REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 5, &t) == VOXRT_OK);
+    b.voxel_finish = materials_cells.finish;
+    REQUIRE(voxrt_tree_from_voxels(&b, materials_cells.v, materials_cells.n, 5, &t) == VOXRT_OK);
     memset(&s, 0, sizeof s);
     s.ray_fn = behind_ray;
     s.user = &shift;
@@ -1820,10 +1822,10 @@ TEST(eyes_behind_origins) {
     for (a = 0; a < 4; a++) d.background[a] = 1;
     for (k = 0; k < 2; k++) {
         shift = k == 0 ? 0.0f : 64.0f;
-        CHECK(draw(&d, t, picture[k]));
+        CHECK(draw(&d, t, materials_picture[k]));
         for (a = 0; a < 3; a++) {
             mean[k][a] = 0;
-            for (i = 0; i < SIDE * SIDE; i++) mean[k][a] += (double)picture[k][i][a] / (SIDE * SIDE);
+            for (i = 0; i < SIDE * SIDE; i++) mean[k][a] += (double)materials_picture[k][i][a] / (SIDE * SIDE);
         }
     }
     CHECK(mean[0][0] > 0.5 && mean[0][1] < 0.8 * mean[0][0] && mean[0][2] < 0.01);
@@ -1892,18 +1894,18 @@ TEST(blocks_count_by_their_voxels) {
     mirror(&f[0], 0.75f); /* of one voxel: no large cell has it */
     mirror(&f[1], 0.25f);
     mirror(&f[2], 0.5f);
-    cells.n = 0;
+    materials_cells.n = 0;
     add_box(0, 8, 0, 8, 0, 8, 255, 255, 255, 2);
-    add(9, 9, 9, 255, 255, 255, 1);
-    add(64, 0, 0, 255, 255, 255, 3);
-    add(0, 64, 0, 255, 255, 255, 3);
-    add(64, 64, 0, 255, 255, 255, 3);
-    add(200, 200, 200, 255, 255, 255, 0);
+    materials_add(9, 9, 9, 255, 255, 255, 1);
+    materials_add(64, 0, 0, 255, 255, 255, 3);
+    materials_add(0, 64, 0, 255, 255, 255, 3);
+    materials_add(64, 64, 0, 255, 255, 255, 3);
+    materials_add(200, 200, 200, 255, 255, 255, 0);
     memset(&d, 0, sizeof d);
     d.finishes = f;
     d.finish_count = 3;
-    d.voxel_finish = cells.finish;
-    REQUIRE(voxrt_tree_from_voxels(&d, cells.v, cells.n, 8, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &m) == VOXRT_OK);
+    d.voxel_finish = materials_cells.finish;
+    REQUIRE(voxrt_tree_from_voxels(&d, materials_cells.v, materials_cells.n, 8, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &m) == VOXRT_OK);
     voxrt_tree_geometry(t, &whole);
     voxrt_model_geometry(m, &g);
     for (level = 0; level <= 8; level++) {
@@ -2075,10 +2077,10 @@ TEST(highlights_of_coarser_levels) {
     uint32_t way, level, i, k;
     test_rng rng = test_rng_make(5);
     static const uint32_t cut[3] = {0, 4, 3}; /* voxels, cells of 8 and of 16 */
-    cells.n = 0;
+    materials_cells.n = 0;
     for (i = 0; i < 64 * 64; i++) {
-        voxrt_voxel *v = &cells.v[cells.n];
-        add(i % 64, 20, i / 64, 0, 0, 0, 0);
+        voxrt_voxel *v = &materials_cells.v[materials_cells.n];
+        materials_add(i % 64, 20, i / 64, 0, 0, 0, 0);
         v->has_normal = 1;
         v->normal[1] = 1;
         for (k = 0; k < 3; k += 2) v->normal[k] = (float)(0.5 * (test_rng_double(&rng) + test_rng_double(&rng) - 1));
@@ -2091,7 +2093,7 @@ TEST(highlights_of_coarser_levels) {
         uint8_t *file;
         memset(&b, 0, sizeof b);
         b.spread = way;
-        REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 6, &t) == VOXRT_OK);
+        REQUIRE(voxrt_tree_from_voxels(&b, materials_cells.v, materials_cells.n, 6, &t) == VOXRT_OK);
         voxrt_tree_get_info(t, &info);
         CHECK(info.has_spread == way);
         for (level = 0; level < 3; level++) {
@@ -2105,15 +2107,15 @@ TEST(highlights_of_coarser_levels) {
                 d.light_count = 1;
                 d.material = &shiny;
                 d.max_level_plus_1 = cut[level];
-                CHECK(draw(&d, t, picture[0]));
+                CHECK(draw(&d, t, materials_picture[0]));
                 seen[way][level][k] = 0;
-                for (i = 0; i < SIDE * SIDE; i++) seen[way][level][k] += (double)picture[0][i][0] / (SIDE * SIDE);
+                for (i = 0; i < SIDE * SIDE; i++) seen[way][level][k] += (double)materials_picture[0][i][0] / (SIDE * SIDE);
                 mean[way][level] += seen[way][level][k] / 36;
             }
         }
         CHECK(voxrt_tree_share(t, NULL, &shared) == VOXRT_OK && voxrt_tree_hash(shared) == voxrt_tree_hash(t));
         for (k = 0; k < 4; k++) {
-            file = save(k & 1 ? shared : t, k & 2 ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT, &size);
+            file = materials_save(k & 1 ? shared : t, k & 2 ? VOXRT_ENCODING_RAW : VOXRT_ENCODING_COMPACT, &size);
             REQUIRE(file != NULL && voxrt_tree_load_memory(NULL, file, size, &loaded) == VOXRT_OK);
             CHECK(voxrt_tree_hash(loaded) == voxrt_tree_hash(t));
             voxrt_tree_destroy(loaded);
@@ -2172,17 +2174,17 @@ TEST(spread_between_levels) {
     voxrt_ray ray;
     test_rng rng = test_rng_make(7);
     uint32_t i, k;
-    cells.n = 0;
+    materials_cells.n = 0;
     for (i = 0; i < 64 * 64; i++) {
-        voxrt_voxel *v = &cells.v[cells.n];
-        add(i % 64, 20, i / 64, 0, 0, 0, 0);
+        voxrt_voxel *v = &materials_cells.v[materials_cells.n];
+        materials_add(i % 64, 20, i / 64, 0, 0, 0, 0);
         v->has_normal = 1;
         v->normal[1] = 1;
         for (k = 0; k < 3; k += 2) v->normal[k] = (float)(2 * test_rng_double(&rng) - 1);
     }
     memset(&b, 0, sizeof b);
     b.spread = 1;
-    REQUIRE(voxrt_tree_from_voxels(&b, cells.v, cells.n, 6, &t) == VOXRT_OK);
+    REQUIRE(voxrt_tree_from_voxels(&b, materials_cells.v, materials_cells.n, 6, &t) == VOXRT_OK);
     voxrt_tree_geometry(t, &g);
     memset(&ray, 0, sizeof ray);
     ray.org[0] = ray.org[2] = 30.5f;

@@ -4,17 +4,17 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 
-enum { MOST = 160 * 160 * 160 };
+enum { MODEL_MOST = 160 * 160 * 160 };
 
 /* The oracle: edge n, a cube of cells. */
-typedef struct world {
+typedef struct model_world {
     uint32_t n;
     uint8_t *filled;
     uint8_t (*rgb)[3];
     float (*normal)[3];
-} world;
+} model_world;
 
-static int world_open(world *w, uint32_t n) {
+static int model_world_open(model_world *w, uint32_t n) {
     const size_t all = (size_t)n * n * n;
     w->n = n;
     w->filled = (uint8_t *)calloc(all, 1);
@@ -23,25 +23,25 @@ static int world_open(world *w, uint32_t n) {
     return w->filled != NULL && w->rgb != NULL && w->normal != NULL;
 }
 
-static void world_close(world *w) {
+static void model_world_close(model_world *w) {
     free(w->filled);
     free(w->rgb);
     free(w->normal);
 }
 
-static size_t at(const world *w, uint32_t x, uint32_t y, uint32_t z) { return x + w->n * (y + (size_t)w->n * z); }
+static size_t at(const model_world *w, uint32_t x, uint32_t y, uint32_t z) { return x + w->n * (y + (size_t)w->n * z); }
 
-static int full(const world *w, const uint8_t *filled, int64_t x, int64_t y, int64_t z) {
+static int full(const model_world *w, const uint8_t *filled, int64_t x, int64_t y, int64_t z) {
     const int64_t n = w->n;
     return x >= 0 && y >= 0 && z >= 0 && x < n && y < n && z < n && filled[x + n * (y + n * z)];
 }
 
-typedef struct shape {
+typedef struct model_shape {
     int sphere;
     double lo[3], hi[3], centre[3], radius;
-} shape;
+} model_shape;
 
-static int inside(const shape *s, double x, double y, double z) {
+static int inside(const model_shape *s, double x, double y, double z) {
     if (s->sphere) return (x - s->centre[0]) * (x - s->centre[0]) + (y - s->centre[1]) * (y - s->centre[1]) +
                           (z - s->centre[2]) * (z - s->centre[2]) < s->radius * s->radius;
     return x >= s->lo[0] && x < s->hi[0] && y >= s->lo[1] && y < s->hi[1] && z >= s->lo[2] && z < s->hi[2];
@@ -49,7 +49,7 @@ static int inside(const shape *s, double x, double y, double z) {
 
 /* Outward, of a sphere exactly; of a box the face that is nearest, of which there may be several: 0 then, as deep
    inside, where nothing shows. */
-static void outward(const shape *s, const uint32_t p[3], float n[3]) {
+static void outward(const model_shape *s, const uint32_t p[3], float n[3]) {
     double d[3], length = 0.0;
     int k;
     if (s->sphere) {
@@ -63,7 +63,7 @@ static void outward(const shape *s, const uint32_t p[3], float n[3]) {
     memset(n, 0, 3 * sizeof *n);
 }
 
-static void world_edit(world *w, const shape *s, voxrt_edit_op op, const uint8_t rgb[3], voxrt_edit_stats *stats) {
+static void world_edit(model_world *w, const model_shape *s, voxrt_edit_op op, const uint8_t rgb[3], voxrt_edit_stats *stats) {
     const size_t all = (size_t)w->n * w->n * w->n;
     uint8_t *before = (uint8_t *)malloc(all);
     uint32_t p[3];
@@ -115,11 +115,11 @@ static void world_edit(world *w, const shape *s, voxrt_edit_op op, const uint8_t
 }
 
 /* A random edit of both; counts have to agree. */
-static void random_edit(test_rng *r, world *w, voxrt_model *m, int threads, voxrt_edit_op op) {
+static void random_edit(test_rng *r, model_world *w, voxrt_model *m, int threads, voxrt_edit_op op) {
     voxrt_edit_desc d;
     voxrt_edit_stats stats, want;
     voxrt_model_info info;
-    shape s;
+    model_shape s;
     double lo[3], hi[3];
     int k;
     memset(&d, 0, sizeof d);
@@ -156,7 +156,7 @@ static void random_edit(test_rng *r, world *w, voxrt_model *m, int threads, voxr
 }
 
 /* Voxels of both are the same; list: those of the model, or NULL. */
-static size_t compare(const world *w, const voxrt_model *m, voxrt_voxel *list) {
+static size_t compare(const model_world *w, const voxrt_model *m, voxrt_voxel *list) {
     voxrt_model_info info;
     uint32_t x, y, z, wrong = 0, turned = 0;
     size_t n = 0;
@@ -282,14 +282,14 @@ static voxrt_model *open_model(uint32_t depth, double size) {
 TEST(random_edits) {
     static const uint32_t depths[] = {1, 2, 3, 5, 6, 7};
     test_rng r = test_rng_make(5);
-    voxrt_voxel *list = (voxrt_voxel *)malloc((size_t)MOST * sizeof *list);
+    voxrt_voxel *list = (voxrt_voxel *)malloc((size_t)MODEL_MOST * sizeof *list);
     uint32_t k, i;
     REQUIRE(list != NULL);
     for (k = 0; k < sizeof depths / sizeof depths[0]; k++) {
-        world w;
+        model_world w;
         voxrt_model *m = open_model(depths[k], k % 2 ? 2.0 : 0.0);
         const uint32_t rounds = test_quick() ? 3 : depths[k] == 7 ? 6 : 9;
-        REQUIRE(m != NULL && world_open(&w, 1u << depths[k]));
+        REQUIRE(m != NULL && model_world_open(&w, 1u << depths[k]));
         for (i = 0; i < rounds; i++) {
             size_t n;
             voxrt_tree *t;
@@ -304,7 +304,7 @@ TEST(random_edits) {
             voxrt_tree_destroy(t);
         }
         voxrt_model_destroy(m);
-        world_close(&w);
+        model_world_close(&w);
     }
     free(list);
 }
@@ -421,9 +421,9 @@ TEST(undo) {
     test_rng r = test_rng_make(9);
     voxrt_model *m = open_model(7, 0.0), *before[STEPS];
     uint64_t hash[STEPS];
-    world w;
+    model_world w;
     int i, other = 0;
-    REQUIRE(m != NULL && world_open(&w, 128));
+    REQUIRE(m != NULL && model_world_open(&w, 128));
     for (i = 0; i < 4; i++) random_edit(&r, &w, m, 2, VOXRT_EDIT_SET);
     for (i = 0; i < STEPS; i++) {
         voxrt_tree *t = NULL;
@@ -444,7 +444,7 @@ TEST(undo) {
         voxrt_tree_destroy(t);
         voxrt_model_destroy(before[i]);
     }
-    world_close(&w);
+    model_world_close(&w);
 }
 
 /* Rays through the edges of blocks, along them, in worlds around 0; cells larger than blocks; allocators of edits. */

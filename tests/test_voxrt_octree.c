@@ -19,7 +19,7 @@ static uint8_t palette4[12] = {255, 0, 0, 0, 255, 0, 0, 0, 255, 9, 9, 9};
 
 typedef struct bytes { uint8_t *p; size_t n, cap; } bytes;
 
-static void put(bytes *b, uint32_t v) {
+static void octree_put(bytes *b, uint32_t v) {
     if (b->n == b->cap) {
         b->cap = b->cap != 0 ? 2 * b->cap : 1024;
         b->p = (uint8_t *)realloc(b->p, b->cap);
@@ -29,10 +29,10 @@ static void put(bytes *b, uint32_t v) {
 
 static void put_header(bytes *b, uint32_t colors) {
     uint32_t i;
-    put(b, 0x4d); put(b, 0x42); put(b, 4); put(b, 0);
-    put(b, colors & 255u); put(b, colors >> 8);
-    for (i = 0; i < 3 * colors; i++) put(b, i * 37 + 11);
-    put(b, 0x7c); put(b, 0x7c);
+    octree_put(b, 0x4d); octree_put(b, 0x42); octree_put(b, 4); octree_put(b, 0);
+    octree_put(b, colors & 255u); octree_put(b, colors >> 8);
+    for (i = 0; i < 3 * colors; i++) octree_put(b, i * 37 + 11);
+    octree_put(b, 0x7c); octree_put(b, 0x7c);
 }
 
 typedef struct counts { uint64_t level[32], nodes, leaves, filled; uint32_t depth; } counts;
@@ -41,8 +41,8 @@ static void put_tree(bytes *b, test_rng *r, uint32_t level, uint32_t max_level, 
     uint32_t node_percent, counts *c) {
     uint32_t node = level < max_level && (level == 0 || test_rng_below(r, 100) < node_percent), i;
     uint32_t index = test_rng_below(r, 2) ? test_rng_below(r, colors + 1) : 0, w = index << 1 | node;
-    put(b, w & 255u); put(b, w >> 8);
-    put(b, test_rng_below(r, 4) ? test_rng_u32(r) & 255u : 0); put(b, test_rng_u32(r) & 255u);
+    octree_put(b, w & 255u); octree_put(b, w >> 8);
+    octree_put(b, test_rng_below(r, 4) ? test_rng_u32(r) & 255u : 0); octree_put(b, test_rng_u32(r) & 255u);
     c->level[level]++;
     if (level > c->depth) c->depth = level;
     if (!node) {
@@ -146,7 +146,7 @@ TEST(random_files_round_trip) {
     }
 }
 
-static voxrt_result try_load(const uint8_t *p, size_t n, test_alloc *ta) { /* from a block of exactly n bytes */
+static voxrt_result octree_try_load(const uint8_t *p, size_t n, test_alloc *ta) { /* from a block of exactly n bytes */
     voxrt_octree_desc d;
     voxrt_octree *t = (voxrt_octree *)1;
     voxrt_error e;
@@ -184,41 +184,41 @@ TEST(hostile_files) {
     memset(&c, 0, sizeof c);
     put_header(&b, 3);
     put_tree(&b, &r, 0, 4, 3, 40, &c);
-    for (n = 0; n < b.n; n++) CHECK(try_load(b.p, n, &ta) == VOXRT_ERR_TRUNCATED);
-    CHECK(try_load(b.p, b.n, &ta) == VOXRT_OK);
+    for (n = 0; n < b.n; n++) CHECK(octree_try_load(b.p, n, &ta) == VOXRT_ERR_TRUNCATED);
+    CHECK(octree_try_load(b.p, b.n, &ta) == VOXRT_OK);
     for (k = 1; k < 40; k += 3) { /* trailing bytes */
         bytes x = b;
         x.p = (uint8_t *)malloc(b.n + k);
         memcpy(x.p, b.p, b.n);
         memset(x.p + b.n, 0, k);
-        CHECK(try_load(x.p, b.n + k, &ta) == VOXRT_ERR_FORMAT);
+        CHECK(octree_try_load(x.p, b.n + k, &ta) == VOXRT_ERR_FORMAT);
         free(x.p);
     }
     for (k = 0; k < 8; k++) {
         memcpy(buf, golden, 50);
         buf[2] = (uint8_t)k;
-        CHECK(try_load(buf, 50, &ta) == (k == 4 ? VOXRT_OK : VOXRT_ERR_VERSION));
+        CHECK(octree_try_load(buf, 50, &ta) == (k == 4 ? VOXRT_OK : VOXRT_ERR_VERSION));
     }
     memcpy(buf, golden, 50);
     buf[0] = 0x42;
-    CHECK(try_load(buf, 50, &ta) == VOXRT_ERR_FORMAT);
+    CHECK(octree_try_load(buf, 50, &ta) == VOXRT_ERR_FORMAT);
     memcpy(buf, golden, 50);
     buf[5] = 0x80; /* 32770 colours */
-    CHECK(try_load(buf, 50, &ta) == VOXRT_ERR_FORMAT);
+    CHECK(octree_try_load(buf, 50, &ta) == VOXRT_ERR_FORMAT);
     memcpy(buf, golden, 50);
     buf[14 + 8] = 6; /* index 3 of 2 */
-    CHECK(try_load(buf, 50, &ta) == VOXRT_ERR_FORMAT);
+    CHECK(octree_try_load(buf, 50, &ta) == VOXRT_ERR_FORMAT);
     memcpy(buf, golden, 50);
     buf[12] = 0; /* separator: a warning */
-    CHECK(try_load(buf, 50, &ta) == VOXRT_OK);
+    CHECK(octree_try_load(buf, 50, &ta) == VOXRT_OK);
     for (n = 19; n < 22; n++) { /* chains: 20 levels are allowed */
         bytes x;
         size_t i;
         memset(&x, 0, sizeof x);
         put_header(&x, 0);
-        for (i = 0; i < n; i++) { put(&x, 1); put(&x, 0); put(&x, 0); put(&x, 0); }
-        for (i = 0; i < 4 * (7 * n + 1); i++) put(&x, 0);
-        CHECK(try_load(x.p, x.n, &ta) == (n <= 20 ? VOXRT_OK : VOXRT_ERR_FORMAT));
+        for (i = 0; i < n; i++) { octree_put(&x, 1); octree_put(&x, 0); octree_put(&x, 0); octree_put(&x, 0); }
+        for (i = 0; i < 4 * (7 * n + 1); i++) octree_put(&x, 0);
+        CHECK(octree_try_load(x.p, x.n, &ta) == (n <= 20 ? VOXRT_OK : VOXRT_ERR_FORMAT));
         free(x.p);
     }
     for (k = 0; k < (test_quick() ? 3000u : 20000u); k++) { /* flips */
@@ -226,7 +226,7 @@ TEST(hostile_files) {
         uint32_t f = 1 + test_rng_below(&r, 4);
         memcpy(x, b.p, b.n);
         while (f-- != 0) x[test_rng_below(&r, (uint32_t)b.n)] ^= (uint8_t)(1u << test_rng_below(&r, 8));
-        (void)try_load(x, b.n, &ta);
+        (void)octree_try_load(x, b.n, &ta);
         free(x);
     }
     test_alloc_check(&ta);
@@ -631,10 +631,10 @@ TEST(normal_codec) {
 
 /* ---- conversion ------------------------------------------------------------------------------------------- */
 
-typedef struct compare { const voxrt_octree *t; uint64_t count; uint32_t level; int colors, normals; } compare;
+typedef struct octree_compare { const voxrt_octree *t; uint64_t count; uint32_t level; int colors, normals; } octree_compare;
 
 static int compare_cell(void *user, const voxrt_voxel *voxel, uint32_t palette_index) {
-    compare *c = (compare *)user;
+    octree_compare *c = (octree_compare *)user;
     uint32_t level;
     voxrt_octree_voxel v = voxrt_octree_get(c->t, c->level, voxel->x, voxel->y, voxel->z, &level);
     CHECK(v.index != 0);
@@ -650,7 +650,7 @@ static int compare_cell(void *user, const voxrt_voxel *voxel, uint32_t palette_i
 }
 
 static void compare_trees(const voxrt_tree *s, const voxrt_octree *t, int lod_colors, int normals) {
-    compare c;
+    octree_compare c;
     uint32_t l;
     voxrt_tree_info info;
     voxrt_tree_get_info(s, &info);
@@ -1022,7 +1022,7 @@ static filled_list list_filled(const voxrt_octree *t, uint32_t max_level) {
 static void list_free(filled_list *f) { free(f->lo); free(f->edge); free(f->voxel); }
 
 /* Is the hit one that a ray within g cells of this one could have? 1: exactly the nearest. 2: admissible. 0: wrong. */
-static int judge(const voxrt_octree *tree, const filled_list *f, const voxrt_ray *ray, const voxrt_hit *h, double g) {
+static int octree_judge(const voxrt_octree *tree, const filled_list *f, const voxrt_ray *ray, const voxrt_hit *h, double g) {
     double must = HUGE_VAL, nearest = HUGE_VAL, in, out, len = 0, slack;
     const double t_min = (double)ray->t_min, t_max = (double)ray->t_max, t = (double)h->t;
     size_t i, best = 0;
@@ -1051,7 +1051,7 @@ static int judge(const voxrt_octree *tree, const filled_list *f, const voxrt_ray
     return i == best ? 1 : 2;
 }
 
-static voxrt_ray random_ray(test_rng *r, double n, int kind) { /* kind 0: from outside; 1: inside; 2: adversarial */
+static voxrt_ray octree_random_ray(test_rng *r, double n, int kind) { /* kind 0: from outside; 1: inside; 2: adversarial */
     voxrt_ray ray;
     uint32_t a;
     memset(&ray, 0, sizeof ray);
@@ -1106,7 +1106,7 @@ TEST(rays_against_brute_force) {
         test_rng r = test_rng_make(level);
         int m = level == 6 ? n : n / 6;
         for (kind = 0; kind < 3; kind++) {
-            for (k = 0; k < m; k++) rays[k] = random_ray(&r, 32, kind);
+            for (k = 0; k < m; k++) rays[k] = octree_random_ray(&r, 32, kind);
             for (path = 0; path < 4; path++) {
                 voxrt_octree_trace_desc d;
                 set_path(&d, path);
@@ -1121,7 +1121,7 @@ TEST(rays_against_brute_force) {
                     CHECK(hits[0][k].node == VOXRT_NO_NODE && hits[0][k].t == INFINITY);
                     continue;
                 }
-                j = judge(t, &f, ray, &hits[0][k], 0.002);
+                j = octree_judge(t, &f, ray, &hits[0][k], 0.002);
                 all[kind]++;
                 right[kind] += j == 1;
                 CHECK_MSG(j != 0, "level %u kind %d ray %d: org %g %g %g dir %g %g %g t %g..%g: hit %u at %g", level,
@@ -1156,7 +1156,7 @@ TEST(packets_and_bad_rays) {
         int path;
         for (i = 0; i < n; i++) {
             uint32_t axis = test_rng_below(&r, 3);
-            rays[i] = random_ray(&r, 32, (int)test_rng_below(&r, 3));
+            rays[i] = octree_random_ray(&r, 32, (int)test_rng_below(&r, 3));
             if (test_rng_below(&r, 6) == 0) rays[i].org[axis] = test_rng_bits(&r);
             if (test_rng_below(&r, 6) == 0) rays[i].dir[axis] = test_rng_bits(&r);
             if (test_rng_below(&r, 8) == 0) rays[i].t_min = test_rng_bits(&r);
@@ -1216,7 +1216,7 @@ TEST(growing_offset) {
     c.max_outer = 6 * 64;
     c.scale = 1;
     c.offset = 64.0f / 1073741824.0f;
-    for (i = 0; i < n; i++) rays[i] = random_ray(&r, 64, (int)(i % 3));
+    for (i = 0; i < n; i++) rays[i] = octree_random_ray(&r, 64, (int)(i % 3));
     d.stats = &s;
     CHECK(voxrt_octree_trace(t, &d, rays, a, n) == VOXRT_OK);
     memset(&sa, 0, sizeof sa);
@@ -1251,7 +1251,7 @@ TEST(grids_and_counters) {
     baseline_desc d;
     uint64_t inner = 0;
     CHECK(voxrt_octree_collapse(t) == VOXRT_OK);
-    for (i = 0; i < n; i++) rays[i] = random_ray(&r, (double)(1u << depth), i & 1);
+    for (i = 0; i < n; i++) rays[i] = octree_random_ray(&r, (double)(1u << depth), i & 1);
     memset(&sa, 0, sizeof sa);
     memset(&d, 0, sizeof d);
     d.offset = (float)(1u << depth) * VOXRTI_OCTREE_OFFSET * 4; /* enough that none needs more */
@@ -1316,7 +1316,7 @@ TEST(forced_level) {
     voxrt_ray *rays = (voxrt_ray *)malloc(n * sizeof *rays);
     voxrt_hit *a = (voxrt_hit *)malloc(n * sizeof *a), *b = (voxrt_hit *)malloc(n * sizeof *b);
     for (i = 0; i < n; i++) {
-        rays[i] = random_ray(&r, 64, (int)(i % 3));
+        rays[i] = octree_random_ray(&r, 64, (int)(i % 3));
         rays[i].t_min = 0; /* limits so close together that they underflow depend on the unit */
         rays[i].t_max = INFINITY;
     }
@@ -1378,7 +1378,7 @@ TEST(collapse_keeps_the_picture) {
             /* empty leaves for nothing */
     }
     CHECK(voxrt_octree_build_lod(t) == VOXRT_OK);
-    for (i = 0; i < n; i++) rays[i] = random_ray(&r, 64, 0);
+    for (i = 0; i < n; i++) rays[i] = octree_random_ray(&r, 64, 0);
     CHECK(voxrt_octree_trace(t, NULL, rays, a, n) == VOXRT_OK);
     voxrt_octree_get_info(t, &before);
     CHECK(voxrt_octree_collapse(t) == VOXRT_OK);

@@ -6,14 +6,14 @@
 
 enum { W = 96, H = 64 };
 
-typedef struct picture {
+typedef struct paging_picture {
     voxrt_image m;
     uint8_t rgba8[4 * W * H];
     float depth[W * H], normal[3 * W * H];
-} picture;
+} paging_picture;
 
-static picture *picture_make(void) {
-    picture *p = (picture *)calloc(1, sizeof *p);
+static paging_picture *picture_make(void) {
+    paging_picture *p = (paging_picture *)calloc(1, sizeof *p);
     if (p == NULL) abort();
     p->m.width = W;
     p->m.height = H;
@@ -23,7 +23,7 @@ static picture *picture_make(void) {
     return p;
 }
 
-static int picture_equal(const picture *a, const picture *b) {
+static int picture_equal(const paging_picture *a, const paging_picture *b) {
     return memcmp(a->rgba8, b->rgba8, sizeof a->rgba8) == 0 && memcmp(a->depth, b->depth, sizeof a->depth) == 0 &&
            memcmp(a->normal, b->normal, sizeof a->normal) == 0;
 }
@@ -142,7 +142,7 @@ typedef struct fixture {
     hills h;
     voxrt_tree *t;
     file f;
-    picture *exact, *p;
+    paging_picture *exact, *p;
 } fixture;
 
 static fixture fixture_make(uint32_t squares, uint32_t resolution, uint32_t planes) {
@@ -184,7 +184,7 @@ static void view_of(const voxrt_tree *t, uint32_t k, voxrt_render_desc *d) {
     d->env.thread_count = 1 + (k & 1u);
 }
 
-static void draw(voxrt_render_desc d, const voxrt_tree *t, voxrt_paged *p, picture *out) {
+static void paging_draw(voxrt_render_desc d, const voxrt_tree *t, voxrt_paged *p, paging_picture *out) {
     voxrt_geometry g;
     if (p != NULL) {
         voxrt_paged_geometry(p, &g);
@@ -195,11 +195,11 @@ static void draw(voxrt_render_desc d, const voxrt_tree *t, voxrt_paged *p, pictu
 }
 
 /* All that was asked for is loaded, until nothing is missing. Returns the number of pictures. */
-static uint32_t draw_until_exact(const voxrt_render_desc *d, voxrt_paged *p, picture *out) {
+static uint32_t draw_until_exact(const voxrt_render_desc *d, voxrt_paged *p, paging_picture *out) {
     voxrt_paged_update_stats s;
     uint32_t n = 0;
     do {
-        draw(*d, NULL, p, out);
+        paging_draw(*d, NULL, p, out);
         CHECK(voxrt_paged_update(p, 0, &s) == VOXRT_OK);
         CHECK((s.loaded != 0) == (s.wanted != 0));
         n++;
@@ -211,7 +211,7 @@ static uint32_t draw_until_exact(const voxrt_render_desc *d, voxrt_paged *p, pic
 static void same_detail(const voxrt_tree *t) {
     file f = file_of(t);
     voxrt_paged *p = paged_of(&f, 0, 1);
-    picture *a = picture_make(), *b = picture_make();
+    paging_picture *a = picture_make(), *b = picture_make();
     float e;
     REQUIRE(p != NULL);
     for (e = 0.7f; e < 300.0f; e *= 1.6f) {
@@ -219,8 +219,8 @@ static void same_detail(const voxrt_tree *t) {
         view_of(t, 0, &d);
         d.tolerance = e;
         d.blend = 1;
-        draw(d, t, NULL, a);
-        draw(d, NULL, p, b);
+        paging_draw(d, t, NULL, a);
+        paging_draw(d, NULL, p, b);
         CHECK_MSG(picture_equal(a, b), "tolerance %g", (double)e);
     }
     voxrt_paged_destroy(p);
@@ -244,7 +244,7 @@ static void same_header(const voxrt_tree *t, const file *f) {
 static void same(const voxrt_tree *t, uint32_t views) {
     file f = file_of(t);
     voxrt_paged *wait = paged_of(&f, 0, 1);
-    picture *a = picture_make(), *b = picture_make();
+    paging_picture *a = picture_make(), *b = picture_make();
     uint32_t k;
     REQUIRE(wait != NULL);
     same_header(t, &f);
@@ -252,8 +252,8 @@ static void same(const voxrt_tree *t, uint32_t views) {
         voxrt_paged *slow = paged_of(&f, 0, 0);
         voxrt_render_desc d;
         view_of(t, k * 2654435761u >> 7, &d);
-        draw(d, t, NULL, a);
-        draw(d, NULL, wait, b);
+        paging_draw(d, t, NULL, a);
+        paging_draw(d, NULL, wait, b);
         CHECK_MSG(picture_equal(a, b), "view %u at once", k);
         (void)draw_until_exact(&d, slow, b);
         CHECK_MSG(picture_equal(a, b), "view %u later", k);
@@ -438,7 +438,7 @@ TEST(pieces_have_textures) {
 TEST(pages_have_finishes_and_spread) {
     static const uint32_t resolution[6] = {2, 7, 30, 60, 200, 300};
     voxrt_finish finish[3];
-    picture *a = picture_make(), *b = picture_make();
+    paging_picture *a = picture_make(), *b = picture_make();
     uint32_t k, differs = 0;
     memset(finish, 0, sizeof finish);
     finish[0].diffuse = 0.5f;
@@ -496,13 +496,13 @@ TEST(pages_have_finishes_and_spread) {
         for (view = 0; view < 4; view++) {
             voxrt_render_desc v;
             view_of(t, view | (view == 2 ? 0u : 4u) | (view == 3 ? 8u + 32u : 0u), &v);
-            draw(v, t, NULL, a);
-            draw(v, NULL, wait, b);
+            paging_draw(v, t, NULL, a);
+            paging_draw(v, NULL, wait, b);
             CHECK_MSG(picture_equal(a, b), "case %u, view %u at once", k, view);
             (void)draw_until_exact(&v, slow, b);
             CHECK_MSG(picture_equal(a, b), "case %u, view %u later", k, view);
             v.bounces_plus_1 = 1;
-            draw(v, t, NULL, b);
+            paging_draw(v, t, NULL, b);
             differs += !picture_equal(a, b);
         }
         if (k % 3 == 0) same_detail(t);
@@ -663,8 +663,8 @@ TEST(room_is_kept) {
         for (round = 0; round < 4; round++) {
             view_of(x.t, round | round << 2 | (round == 3 ? 8u : 0u), &v);
             v.env.thread_count = 1 + k % 4;
-            draw(v, x.t, NULL, x.exact);
-            draw(v, NULL, paged, x.p);
+            paging_draw(v, x.t, NULL, x.exact);
+            paging_draw(v, NULL, paged, x.p);
             CHECK_MSG(picture_equal(x.exact, x.p), "memory %g, view %u", (double)memory, round);
         }
         voxrt_paged_get_info(paged, &info);
@@ -698,7 +698,7 @@ static int looks_add(void *user, const voxrt_voxel *v, uint32_t index) {
    right stay so; and it is the same for any number of threads. A page at a time. */
 TEST(coarse_pictures_get_finer) {
     fixture x = fixture_make(60, 500, 0);
-    picture *p = x.p, *q = picture_make(), *before = picture_make();
+    paging_picture *p = x.p, *q = picture_make(), *before = picture_make();
     uint32_t view;
     for (view = 0; view < (test_quick() ? 2u : 8u); view++) {
         voxrt_paged *one = paged_of(&x.f, 0, 0), *many = paged_of(&x.f, 0, 0);
@@ -707,13 +707,13 @@ TEST(coarse_pictures_get_finer) {
         voxrt_paged_update_stats s, r;
         view_of(x.t, view, &d);
         d.view = VOXRT_VIEW_UNLIT; /* shadows of coarse cells come and go */
-        draw(d, x.t, NULL, x.exact);
+        paging_draw(d, x.t, NULL, x.exact);
         do {
             uint32_t wrong = 0;
             d.env.thread_count = 1;
-            draw(d, NULL, one, p);
+            paging_draw(d, NULL, one, p);
             d.env.thread_count = 2 + n % 3;
-            draw(d, NULL, many, q);
+            paging_draw(d, NULL, many, q);
             CHECK(picture_equal(p, q));
             for (i = 0; i < W * H; i++) {
                 const int same_now = p->depth[i] == x.exact->depth[i] && memcmp(p->rgba8 + 4 * i, x.exact->rgba8 + 4 * i, 4) == 0;
@@ -774,15 +774,15 @@ TEST(shadows_of_coarse_cells_ask_for_nothing) {
         view_of(x.t, view | 4u, &d);
         d.lights = &low;
         d.light_count = 1;
-        draw(d, x.t, NULL, x.exact);
-        draw(d, NULL, wait, x.p);
+        paging_draw(d, x.t, NULL, x.exact);
+        paging_draw(d, NULL, wait, x.p);
         voxrt_paged_get_info(wait, &needs);
         for (n = 0; n < 200; n++) {
             d.env.thread_count = 1;
-            draw(d, NULL, one, x.p);
+            paging_draw(d, NULL, one, x.p);
             CHECK(voxrt_paged_update(one, 300000, &s) == VOXRT_OK);
             d.env.thread_count = 3;
-            draw(d, NULL, many, x.p);
+            paging_draw(d, NULL, many, x.p);
             CHECK(voxrt_paged_update(many, 300000, &r) == VOXRT_OK && memcmp(&s, &r, sizeof s) == 0);
             if (s.wanted == 0) break;
             CHECK(s.loaded != 0 && s.no_room == 0);
@@ -821,7 +821,7 @@ TEST(views_follow_each_other) {
         voxrt_render_desc d;
         corner_view(x.t, k, &d);
         voxrti_paged_clear(p);
-        draw(d, NULL, p, x.p);
+        paging_draw(d, NULL, p, x.p);
         voxrt_paged_get_info(p, &info);
         if ((size_t)info.loaded_bytes > most) most = (size_t)info.loaded_bytes;
         sum += (size_t)info.loaded_bytes;
@@ -833,7 +833,7 @@ TEST(views_follow_each_other) {
     for (k = 0; k < 12; k++) {
         voxrt_render_desc d;
         corner_view(x.t, k % 4, &d);
-        draw(d, x.t, NULL, x.exact);
+        paging_draw(d, x.t, NULL, x.exact);
         CHECK_MSG(draw_until_exact(&d, p, x.p) < 20 && picture_equal(x.p, x.exact), "view %u", k);
     }
     voxrt_paged_get_info(p, &info);
@@ -1000,7 +1000,7 @@ TEST(what_was_asked_for_long_ago) {
 /* Too little room for a picture, not waiting: what was hit stays, the rest is coarse, nothing changes any more. */
 TEST(too_little_room_is_coarse) {
     fixture x = fixture_make(60, 500, 0);
-    picture *p = x.p;
+    paging_picture *p = x.p;
     voxrt_paged_desc d;
     voxrt_paged *paged = NULL;
     voxrt_render_desc v;
@@ -1017,14 +1017,14 @@ TEST(too_little_room_is_coarse) {
     REQUIRE(hit != NULL);
     view_of(x.t, 1, &v); /* what it loads has been hit when other views come */
     for (n = 0; n < 3; n++) {
-        draw(v, NULL, paged, p);
+        paging_draw(v, NULL, paged, p);
         CHECK(voxrt_paged_update(paged, 0, NULL) == VOXRT_OK);
     }
     view_of(x.t, 0, &v);
     v.view = VOXRT_VIEW_UNLIT;
-    draw(v, x.t, NULL, x.exact);
+    paging_draw(v, x.t, NULL, x.exact);
     for (n = 0; n < 60; n++) {
-        draw(v, NULL, paged, p);
+        paging_draw(v, NULL, paged, p);
         for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= x.exact->depth[i]);
         for (i = 0; i < paged->page_count; i++) {
             hit[i] = paged->page[i].place != 0 && paged->page[i].used == paged->turn;
@@ -1040,7 +1040,7 @@ TEST(too_little_room_is_coarse) {
     CHECK_MSG(n > 0 && n < W * H / 2, "%u pixels are coarse", n);
     free(hit);
     voxrt_paged_wait(paged, 1); /* now the next picture is exact all the same */
-    draw(v, NULL, paged, p);
+    paging_draw(v, NULL, paged, p);
     CHECK(picture_equal(p, x.exact));
     voxrt_paged_wait(paged, 0);
     CHECK(voxrt_paged_update(paged, 0, &s) == VOXRT_OK && s.wanted == 0);
@@ -1171,7 +1171,7 @@ TEST(what_fits_is_loaded) {
 /* ---- what goes wrong ---- */
 
 /* Open it, look at it from all sides. Returns what opening says, or the first bad page; the picture may be NULL. */
-static voxrt_result use(const uint8_t *data, size_t size, uint32_t trust, picture *p) {
+static voxrt_result paging_use(const uint8_t *data, size_t size, uint32_t trust, paging_picture *p) {
     voxrt_paged_desc d;
     voxrt_paged *paged = NULL;
     voxrt_paged_info info;
@@ -1214,28 +1214,28 @@ static voxrt_result use(const uint8_t *data, size_t size, uint32_t trust, pictur
 TEST(damaged_files_are_refused) {
     fixture x = fixture_make(8, 40, 1);
     const file f = x.f;
-    picture *p = x.p;
+    paging_picture *p = x.p;
     test_rng r = test_rng_make(3);
     uint8_t *copy;
     size_t i;
     uint32_t accepted = 0, k;
-    CHECK(use(f.data, f.size, 0, p) == VOXRT_OK);
+    CHECK(paging_use(f.data, f.size, 0, p) == VOXRT_OK);
     for (i = 0; i < f.size; i += i < 400 || i + 200 > f.size ? 1 : 97) {
         copy = (uint8_t *)malloc(i != 0 ? i : 1);
         if (copy == NULL) abort();
         memcpy(copy, f.data, i);
-        if (i != 0) CHECK(use(copy, i, i & 1, p) == VOXRT_ERR_TRUNCATED);
+        if (i != 0) CHECK(paging_use(copy, i, i & 1, p) == VOXRT_ERR_TRUNCATED);
         free(copy);
     }
     copy = (uint8_t *)malloc(f.size + 1);
     if (copy == NULL) abort();
     memcpy(copy, f.data, f.size);
     copy[f.size] = 0;
-    CHECK(use(copy, f.size + 1, 0, p) == VOXRT_ERR_FORMAT);
+    CHECK(paging_use(copy, f.size + 1, 0, p) == VOXRT_ERR_FORMAT);
     for (i = 0; i < f.size; i += i < 400 || i + 200 > f.size ? 1 : test_quick() ? 211 : 61) { /* each change is found */
         const uint8_t was = copy[i];
         copy[i] = (uint8_t)(was ^ (1u << test_rng_below(&r, 8)));
-        CHECK_MSG(use(copy, f.size, 0, p) != VOXRT_OK, "byte %u", (unsigned)i);
+        CHECK_MSG(paging_use(copy, f.size, 0, p) != VOXRT_OK, "byte %u", (unsigned)i);
         copy[i] = was;
     }
     for (k = 0; k < (test_quick() ? 200u : 1000u); k++) { /* and without checksums all of them are harmless */
@@ -1246,7 +1246,7 @@ TEST(damaged_files_are_refused) {
             i = test_rng_below(&r, 2) ? test_rng_below(&r, 400) : test_rng_below(&r, (uint32_t)f.size);
             copy[i] = (uint8_t)(test_rng_below(&r, 3) == 0 ? 255u : copy[i] ^ (1u << test_rng_below(&r, 8)));
         }
-        accepted += use(copy, f.size, 1, p) == VOXRT_OK;
+        accepted += paging_use(copy, f.size, 1, p) == VOXRT_OK;
     }
     CHECK(accepted > 20);
     free(copy);
@@ -1418,7 +1418,7 @@ static int source_read(void *user, uint64_t offset, void *to, size_t bytes) {
 TEST(files_change_and_fail) {
     fixture x = fixture_make(30, 300, 0);
     const file f = x.f;
-    picture *p = x.p, *exact = x.exact;
+    paging_picture *p = x.p, *exact = x.exact;
     uint32_t k, i;
     for (k = 0; k < 4; k++) {
         source s;
@@ -1441,9 +1441,9 @@ TEST(files_change_and_fail) {
         s.broken_to = f.size / 2;
         view_of(x.t, 0, &v);
         v.view = VOXRT_VIEW_UNLIT;
-        draw(v, x.t, NULL, exact);
+        paging_draw(v, x.t, NULL, exact);
         for (i = 0; i < 20; i++) {
-            draw(v, NULL, paged, p);
+            paging_draw(v, NULL, paged, p);
             r = voxrt_paged_update(paged, 0, &u);
             if (bad == VOXRT_OK) bad = r;
             if (u.wanted == 0) break;
@@ -1456,7 +1456,7 @@ TEST(files_change_and_fail) {
         CHECK(strlen(info.error.text) > 10);
         for (i = 0; i < W * H; i++) CHECK(p->depth[i] <= exact->depth[i]);
         s.reads = 0; /* what is bad is not asked for again */
-        draw(v, NULL, paged, p);
+        paging_draw(v, NULL, paged, p);
         CHECK(voxrt_paged_update(paged, 0, &u) == VOXRT_OK && u.wanted == 0 && s.reads == 0);
         voxrt_paged_destroy(paged);
     }
@@ -1557,7 +1557,7 @@ TEST(files_and_arguments) {
     voxrt_paged_info info;
     voxrt_tree_info tree;
     voxrt_error error;
-    picture *x = of.exact, *y = of.p;
+    paging_picture *x = of.exact, *y = of.p;
     voxrt_render_desc v;
     FILE *out;
     size_t size;
@@ -1604,8 +1604,8 @@ TEST(files_and_arguments) {
     CHECK(memcmp(info.cell_min, tree.cell_min, 12) == 0 && memcmp(info.cell_max, tree.cell_max, 12) == 0);
     CHECK(info.has_colors && info.has_normals && !info.has_planes && info.page_count > 10 && info.loaded_pages == 1);
     view_of(t, 2, &v);
-    draw(v, t, NULL, x);
-    draw(v, NULL, p, y);
+    paging_draw(v, t, NULL, x);
+    paging_draw(v, NULL, p, y);
     CHECK(picture_equal(x, y));
     voxrt_paged_destroy(p);
     CHECK(voxrt_tree_save_file(t, &save, path) == VOXRT_OK);

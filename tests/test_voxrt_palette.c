@@ -3,14 +3,14 @@
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 
-typedef struct built {
+typedef struct palette_built {
     uint32_t *index; /* [n] */
     uint8_t *palette;
     uint32_t count;
     uint64_t colors_in;
     size_t n;
     voxrt_result result;
-} built;
+} palette_built;
 
 static voxrt_env env_of(uint32_t threads) {
     voxrt_env env;
@@ -19,9 +19,9 @@ static voxrt_env env_of(uint32_t threads) {
     return env;
 }
 
-static built build_with(const voxrt_env *env, voxrti_mem *mem, const uint32_t *rgb, size_t n, size_t census, uint32_t k,
+static palette_built build_with(const voxrt_env *env, voxrti_mem *mem, const uint32_t *rgb, size_t n, size_t census, uint32_t k,
                         voxrt_palette_method method) {
-    built b;
+    palette_built b;
     memset(&b, 0, sizeof b);
     b.n = n;
     b.index = (uint32_t *)malloc((n + 1) * sizeof(uint32_t));
@@ -32,25 +32,25 @@ static built build_with(const voxrt_env *env, voxrti_mem *mem, const uint32_t *r
 
 static voxrti_mem mem_g;
 
-static built build(const uint32_t *rgb, size_t n, size_t census, uint32_t k, voxrt_palette_method method) {
+static palette_built build(const uint32_t *rgb, size_t n, size_t census, uint32_t k, voxrt_palette_method method) {
     voxrt_env env = env_of(2);
     return build_with(&env, &mem_g, rgb, n, census, k, method);
 }
 
-static void drop(built *b) {
+static void drop(palette_built *b) {
     free(b->index);
     voxrti_free(&mem_g, b->palette);
 }
 
-static uint32_t entry(const built *b, uint32_t i) {
+static uint32_t palette_entry(const palette_built *b, uint32_t i) {
     return (uint32_t)b->palette[3 * i] | (uint32_t)b->palette[3 * i + 1] << 8 | (uint32_t)b->palette[3 * i + 2] << 16;
 }
 
-static int entries_differ(const built *b) {
+static int entries_differ(const palette_built *b) {
     uint32_t i, j;
     for (i = 0; i < b->count; i++)
         for (j = 0; j < i; j++)
-            if (entry(b, i) == entry(b, j)) return 0;
+            if (palette_entry(b, i) == palette_entry(b, j)) return 0;
     return 1;
 }
 
@@ -313,20 +313,20 @@ TEST(edges) {
     int method;
     for (method = 0; method < 2; method++) {
         voxrt_palette_method m = (voxrt_palette_method)method;
-        built b = build(NULL, 0, 0, 5, m);
-        CHECK(b.result == VOXRT_OK && b.count == 1 && b.colors_in == 0 && entry(&b, 0) == 0xffffffu);
+        palette_built b = build(NULL, 0, 0, 5, m);
+        CHECK(b.result == VOXRT_OK && b.count == 1 && b.colors_in == 0 && palette_entry(&b, 0) == 0xffffffu);
         drop(&b);
         b = build(two, 1, 1, 1, m);
-        CHECK(b.result == VOXRT_OK && b.count == 1 && b.colors_in == 1 && entry(&b, 0) == 0xffu && b.index[0] == 0);
+        CHECK(b.result == VOXRT_OK && b.count == 1 && b.colors_in == 1 && palette_entry(&b, 0) == 0xffu && b.index[0] == 0);
         drop(&b);
         b = build(two, 5, 5, 2, m);
         CHECK(b.result == VOXRT_OK && b.count == 2 && b.colors_in == 2);
-        CHECK(entry(&b, b.index[0]) == 0xffu && entry(&b, b.index[1]) == 0xff0000u);
+        CHECK(palette_entry(&b, b.index[0]) == 0xffu && palette_entry(&b, b.index[1]) == 0xff0000u);
         CHECK(b.index[4] == b.index[1] && b.index[2] == b.index[0] && b.index[3] == b.index[0]);
         drop(&b);
         b = build(two, 5, 5, 1, m);
         CHECK(b.result == VOXRT_OK && b.count == 1 && b.colors_in == 2);
-        if (m == VOXRT_PALETTE_THESIS) CHECK_EQ_U64(entry(&b, 0), 153u | 102u << 16); /* eq. 3: 3/5, 2/5 */
+        if (m == VOXRT_PALETTE_THESIS) CHECK_EQ_U64(palette_entry(&b, 0), 153u | 102u << 16); /* eq. 3: 3/5, 2/5 */
         drop(&b);
         b = build(two, 5, 5, 0, m);
         CHECK(b.result == VOXRT_ERR_INVALID_ARG && b.palette == NULL);
@@ -341,7 +341,7 @@ TEST(lossless) {
         size_t n = sizes[s], bad = 0, census = n - n / 3;
         uint32_t *rgb = make_colors(n, 0, s), *sorted = (uint32_t *)malloc(n * sizeof(uint32_t));
         uint32_t distinct = 1, leaf = 1;
-        built b;
+        palette_built b;
         for (i = 0; i < n; i++) rgb[i] &= 0x3f3f3fu;
         memcpy(sorted, rgb, census * sizeof(uint32_t));
         qsort(sorted, census, sizeof(uint32_t), compare_u32);
@@ -353,7 +353,7 @@ TEST(lossless) {
         CHECK(b.result == VOXRT_OK);
         CHECK_EQ_U64(b.count, distinct);
         CHECK_EQ_U64(b.colors_in, leaf);
-        for (i = 0; i < n; i++) bad += b.index[i] >= b.count || entry(&b, b.index[i]) != rgb[i];
+        for (i = 0; i < n; i++) bad += b.index[i] >= b.count || palette_entry(&b, b.index[i]) != rgb[i];
         CHECK_EQ_U64(bad, 0);
         drop(&b);
         b = build(rgb, n, n, 0x1000000u, VOXRT_PALETTE_OKLAB);
@@ -371,19 +371,19 @@ TEST(lod_colors) {
         size_t n = 3000, census = 1000, i;
         uint32_t *rgb = make_colors(n, 0, 7), k, room, j;
         for (room = 0; room < 120; room += 40) {
-            built b;
+            palette_built b;
             size_t bad = 0, not_nearest = 0;
             for (i = 0; i < census; i++) rgb[i] = rgb[i % 500];
             k = 500 + room;
             b = build(rgb, n, census, k, (voxrt_palette_method)method);
             CHECK(b.result == VOXRT_OK && b.count <= k && b.count + 4 >= k);
             CHECK_EQ_U64(b.colors_in, 500);
-            for (i = 0; i < census; i++) bad += entry(&b, b.index[i]) != rgb[i];
+            for (i = 0; i < census; i++) bad += palette_entry(&b, b.index[i]) != rgb[i];
             CHECK_EQ_U64(bad, 0);
             for (i = census; i < n && method == 0; i += 11) {
-                double best = 1e9, got = delta_e(rgb[i], entry(&b, b.index[i]));
+                double best = 1e9, got = delta_e(rgb[i], palette_entry(&b, b.index[i]));
                 for (j = 0; j < b.count; j++) {
-                    double d = delta_e(rgb[i], entry(&b, j));
+                    double d = delta_e(rgb[i], palette_entry(&b, j));
                     best = d < best ? d : best;
                 }
                 not_nearest += got > best + 1e-9;
@@ -407,11 +407,11 @@ TEST(lod_room) {
     rgb[n++] = 0xd00000u;
     rgb[n++] = 0xd20000u;
     for (method = 0; method < 2; method++) {
-        built b = build(rgb, n, 200, 202, (voxrt_palette_method)method);
+        palette_built b = build(rgb, n, 200, 202, (voxrt_palette_method)method);
         REQUIRE(b.result == VOXRT_OK);
         CHECK_EQ_U64(b.count, 202);
-        CHECK_EQ_U64(entry(&b, b.index[n - 3]), 0x00d000u);
-        CHECK_EQ_U64(entry(&b, b.index[n - 1]), 0xd10000u);
+        CHECK_EQ_U64(palette_entry(&b, b.index[n - 3]), 0x00d000u);
+        CHECK_EQ_U64(palette_entry(&b, b.index[n - 1]), 0xd10000u);
         CHECK_EQ_U64(b.index[n - 1], b.index[n - 2]);
         drop(&b);
     }
@@ -454,13 +454,13 @@ TEST(usage_counts) {
 TEST(nearest) {
     size_t n = 20000, i, bad = 0;
     uint32_t *rgb = make_colors(n, 1, 21), j;
-    built b = build(rgb, n, n / 2, 700, VOXRT_PALETTE_OKLAB);
+    palette_built b = build(rgb, n, n / 2, 700, VOXRT_PALETTE_OKLAB);
     REQUIRE(b.result == VOXRT_OK);
     CHECK(b.count <= 700 && b.count > 690);
     for (i = 0; i < n; i += 23) {
-        double best = 1e9, got = delta_e(rgb[i], entry(&b, b.index[i]));
+        double best = 1e9, got = delta_e(rgb[i], palette_entry(&b, b.index[i]));
         for (j = 0; j < b.count; j++) {
-            double d = delta_e(rgb[i], entry(&b, j));
+            double d = delta_e(rgb[i], palette_entry(&b, j));
             best = d < best ? d : best;
         }
         bad += got > best + 1e-9;
@@ -519,7 +519,7 @@ static uint32_t oracle_thesis(const uint32_t *color, const uint32_t *use, uint32
 /* Compare with the oracle for n distinct ascending colours. */
 static void check_thesis(const uint32_t *color, const uint32_t *use, uint32_t n, uint32_t k, test_rng *r) {
     uint32_t merged[60], rgb[60 * 9], total = 0, bad = 0, i, j, t;
-    built b;
+    palette_built b;
     for (i = 0; i < n; i++)
         for (j = 0; j < use[i]; j++) rgb[total++] = color[i];
     for (i = total; i > 1; i--) { /* any order */
@@ -536,13 +536,13 @@ static void check_thesis(const uint32_t *color, const uint32_t *use, uint32_t n,
         uint32_t want = 0, kept = 0;
         for (j = 0; j < n; j++)
             if (color[j] == rgb[i]) want = merged[j];
-        for (j = 0; j < b.count; j++) kept |= entry(&b, j) == rgb[i];
+        for (j = 0; j < b.count; j++) kept |= palette_entry(&b, j) == rgb[i];
         if (kept) want = rgb[i]; /* a colour that is in the palette is exact */
-        bad += b.index[i] >= b.count || entry(&b, b.index[i]) != want;
+        bad += b.index[i] >= b.count || palette_entry(&b, b.index[i]) != want;
     }
     CHECK_MSG(bad == 0, "%u colours to %u: %u of %u differ", n, k, bad, total);
     for (j = 0; j < b.count; j++) { /* and the palette has no other entries */
-        for (i = 0; i < n && merged[i] != entry(&b, j); i++) { }
+        for (i = 0; i < n && merged[i] != palette_entry(&b, j); i++) { }
         CHECK(i < n);
     }
     CHECK(entries_differ(&b));
@@ -595,7 +595,7 @@ TEST(thesis_rare) {
 TEST(oklab_means) {
     static const uint32_t center[4] = { 0x202020u, 0x2030d0u, 0x30d040u, 0xe0d0d0u };
     uint32_t rgb[4 * 60], n = 0, i, j, k;
-    built b;
+    palette_built b;
     for (i = 0; i < 4; i++)
         for (j = 0; j < 60; j++) rgb[n++] = center[i] + (j % 3) + ((j / 3 % 3) << 8) + ((j % 5) << 16);
     b = build(rgb, n, n, 4, VOXRT_PALETTE_OKLAB);
@@ -607,7 +607,7 @@ TEST(oklab_means) {
             oracle_oklab(rgb[i * 60 + j], c);
             for (k = 0; k < 3; k++) mean[k] += c[k] / 60.0;
         }
-        oracle_oklab(entry(&b, b.index[i * 60]), got);
+        oracle_oklab(palette_entry(&b, b.index[i * 60]), got);
         for (k = 0; k < 3; k++) CHECK_NEAR(got[k], mean[k], 0.004); /* half a step of a byte */
     }
     drop(&b);
@@ -615,7 +615,7 @@ TEST(oklab_means) {
     for (i = 0, n = 0; i < 102; i++) rgb[n++] = (i < 50 ? 100u : i < 100 ? 110u : i == 100 ? 200u : 230u) * 0x010101u;
     b = build(rgb, n, n, 3, VOXRT_PALETTE_OKLAB);
     REQUIRE(b.result == VOXRT_OK && b.count == 3);
-    CHECK(entry(&b, b.index[0]) == 100 * 0x010101u && entry(&b, b.index[n - 3]) == 110 * 0x010101u);
+    CHECK(palette_entry(&b, b.index[0]) == 100 * 0x010101u && palette_entry(&b, b.index[n - 3]) == 110 * 0x010101u);
     CHECK(b.index[n - 2] == b.index[n - 1]);
     drop(&b);
 }
@@ -629,7 +629,7 @@ TEST(determinism) {
             uint32_t k = method == 0 ? 300 : test_quick() ? 4400 : 21000;
             uint32_t *rgb = make_colors(n, photo, 5), *mixed = (uint32_t *)malloc(n * sizeof(uint32_t)), bad = 0;
             test_rng r = test_rng_make(1);
-            built a, b;
+            palette_built a, b;
             voxrt_env env = env_of(1);
             a = build_with(&env, &mem_g, rgb, n, n, k, (voxrt_palette_method)method);
             REQUIRE(a.result == VOXRT_OK);
@@ -705,10 +705,10 @@ static double median_cut(uint32_t *c, size_t n, uint32_t k) {
     return median_cut(c, half, k / 2) + median_cut(c + half, n - half, k - k / 2);
 }
 
-static double mean_error(const uint32_t *rgb, const built *b) {
+static double mean_error(const uint32_t *rgb, const palette_built *b) {
     double sum = 0.0;
     size_t i;
-    for (i = 0; i < b->n; i++) sum += delta_e(rgb[i], entry(b, b->index[i]));
+    for (i = 0; i < b->n; i++) sum += delta_e(rgb[i], palette_entry(b, b->index[i]));
     return sum / (double)b->n;
 }
 
@@ -719,8 +719,8 @@ TEST(quality) {
         for (s = 0; s < (test_quick() ? 3 : 4); s++) {
             size_t n = s == 3 ? 60000 : test_quick() ? 2000 : 6000;
             uint32_t *rgb = make_colors(n, photo, 11), *copy = (uint32_t *)malloc(n * sizeof(uint32_t));
-            built a = build(rgb, n, n, sizes[s], VOXRT_PALETTE_OKLAB);
-            built b = build(rgb, n, n, sizes[s], VOXRT_PALETTE_THESIS);
+            palette_built a = build(rgb, n, n, sizes[s], VOXRT_PALETTE_OKLAB);
+            palette_built b = build(rgb, n, n, sizes[s], VOXRT_PALETTE_THESIS);
             double ea, eb, ec;
             REQUIRE(a.result == VOXRT_OK && b.result == VOXRT_OK);
             CHECK(a.count <= sizes[s] && a.count + 8 >= sizes[s] && b.count <= sizes[s]);
@@ -747,7 +747,7 @@ TEST(many_colors) {
     size_t n = 400000, i, bad = 0;
     uint32_t *rgb, *copy;
     voxrt_env env = env_of(1);
-    built a, b;
+    palette_built a, b;
     double ea = 0.0;
     if (TEST_SANITIZED) SKIP("slow under a sanitizer");
     rgb = make_colors(n, 0, 3);
@@ -762,7 +762,7 @@ TEST(many_colors) {
     CHECK(memcmp(a.index, b.index, n * sizeof(uint32_t)) == 0);
     for (i = 0; i < n; i++) bad += a.index[i] >= a.count;
     CHECK_EQ_U64(bad, 0);
-    for (i = 0; i < n; i += 10) ea += delta_e(rgb[i], entry(&a, a.index[i]));
+    for (i = 0; i < n; i += 10) ea += delta_e(rgb[i], palette_entry(&a, a.index[i]));
     ea /= (double)(n / 10);
     CHECK(ea < median_cut(copy, n / 4, 4096) / (double)(n / 4)); /* a part of the colours is easier */
     drop(&a);
@@ -783,7 +783,7 @@ TEST(allocation_failures) {
         for (f = 0; f < 1000; f++) {
             voxrti_mem mem;
             voxrt_env env = env_of(1);
-            built b;
+            palette_built b;
             ta.count = 0;
             ta.fail_at = f;
             env.allocator.alloc_fn = test_alloc_fn;

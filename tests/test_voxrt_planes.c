@@ -19,7 +19,7 @@ static voxrt_mesh mesh_of(const shape *s) {
 }
 
 /* What is in the cube [0,2)^3 as a tree. */
-static voxrt_tree *make(shape *s, uint32_t resolution, int planes, int fill) {
+static voxrt_tree *planes_make(shape *s, uint32_t resolution, int planes, int fill) {
     voxrt_mesh m = mesh_of(s);
     voxrt_build_desc d;
     voxrt_tree *t = NULL;
@@ -40,7 +40,7 @@ static voxrt_tree *make_ball(uint32_t resolution, int planes, uint32_t rings) {
     memset(&s, 0, sizeof s);
     shape_sphere(&s, 1, 1, 1, 0.9, rings);
     for (i = 0; planes == 2 && i < 3 * s.vertices; i++) s.normal[i] = -s.normal[i];
-    return make(&s, resolution, planes, 0);
+    return planes_make(&s, resolution, planes, 0);
 }
 
 /* What is in a mixed scene: a ball, a box beside it, and a thin plate that both of its sides share voxels of. */
@@ -52,7 +52,7 @@ static voxrt_tree *make_mixed(uint32_t resolution) {
     shape_box(&s, 1.5, 0.3, 0.3, 1.505, 1.7, 1.6);
     for (i = 0; i < s.vertices; i++) memset(s.normal + 3 * i, 0, 12); /* the triangles' own */
     shape_sphere(&s, 1, 1, 1, 0.5, 40);
-    return make(&s, resolution, 1, 0);
+    return planes_make(&s, resolution, 1, 0);
 }
 
 /* ---- what is stored ---- */
@@ -127,13 +127,13 @@ TEST(sheets_and_insides_stay_cubes) {
     uint64_t i, none = 0;
     memset(&s, 0, sizeof s);
     shape_box(&s, 0.54, 0.3, 0.3, 0.545, 1.7, 1.6); /* both sides in the same voxels */
-    t = make(&s, 64, 1, 0);
+    t = planes_make(&s, 64, 1, 0);
     for (i = 0; i < t->voxel_count; i++) none += t->plane[i] == 0;
     CHECK(none * 10 > t->voxel_count * 8);
     voxrt_tree_destroy(t);
     shell = make_ball(64, 1, 60);
     shape_sphere(&s, 1, 1, 1, 0.9, 60);
-    t = make(&s, 64, 1, 1);
+    t = planes_make(&s, 64, 1, 1);
     for (i = 0, none = 0; i < t->voxel_count; i++) none += t->plane[i] == 0;
     CHECK(t->voxel_count > 3 * shell->voxel_count && none == t->voxel_count - shell->voxel_count);
     voxrt_tree_destroy(shell);
@@ -163,7 +163,7 @@ static int slow_add(void *user, const voxrt_voxel *v, uint32_t index) {
 }
 
 /* The cells of all levels, large ones first; cones meet the root only in trees of odd depth. */
-static slow_list slow_open(const voxrt_tree *t) {
+static slow_list planes_slow_open(const voxrt_tree *t) {
     voxrt_tree_info info;
     slow_list l;
     uint64_t n = 0;
@@ -290,7 +290,7 @@ TEST(rays_end_where_slow_ones_do) {
     enum { RAYS = 2000 };
     const uint32_t n = test_quick() ? RAYS / 3 : RAYS;
     voxrt_tree *t = make_mixed(32);
-    slow_list l = slow_open(t);
+    slow_list l = planes_slow_open(t);
     static voxrt_ray ray[RAYS];
     static voxrt_hit hit[3][RAYS], cube[RAYS];
     uint32_t i, k, m;
@@ -628,8 +628,8 @@ TEST(sharp_ridges_are_cubes) {
         }
         free(s.normal);
         s.normal = NULL;
-        t = make(&s, 64, 1, 0);
-        l = slow_open(t);
+        t = planes_make(&s, 64, 1, 0);
+        l = planes_slow_open(t);
         for (i = 0, n = 0; i < l.n; i++) {
             if (l.v[i].level != t->depth || l.v[i].c[0] != 32 || l.v[i].c[2] != 48 || l.v[i].c[1] < 12 || l.v[i].c[1] > 52) continue;
             CHECK(l.v[i].cube == (k == 0));
@@ -680,7 +680,7 @@ TEST(same_voxels_and_planes_by_all_ways) {
     for (i = 0; i < t[2]->voxel_count; i++) none += t[2]->plane[i] == 0;
     CHECK(none > 0 && none == t[2]->voxel_count - t[0]->voxel_count);
     {
-        slow_list shell = slow_open(t[0]), thick = slow_open(t[2]);
+        slow_list shell = planes_slow_open(t[0]), thick = planes_slow_open(t[2]);
         size_t at = 0;
         for (i = 0; i < thick.n; i++) {
             const slow_cell *c = &thick.v[i];
@@ -921,7 +921,7 @@ TEST(what_keeps_no_planes) {
 
 /* Normals (as they are) and planes of all voxels of a tree of 128^3 cells: 16 bytes each, zeros where nothing is. */
 static float (*all_planes(const voxrt_tree *t))[4] {
-    slow_list l = slow_open(t);
+    slow_list l = planes_slow_open(t);
     float (*v)[4] = (float (*)[4])calloc(128 * 128 * 128, sizeof *v);
     size_t i;
     uint32_t a;

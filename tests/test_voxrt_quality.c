@@ -9,7 +9,7 @@
 #include "voxel_list.h"
 
 /* The sphere of radius `part` around (1, 1, 1) in the cube [0,2)^3, as the thinnest closed shell of 2^depth voxels. */
-static voxrt_tree *make_sphere(uint32_t depth, double part) {
+static voxrt_tree *quality_make_sphere(uint32_t depth, double part) {
     voxrt_build_desc d;
     cells c;
     memset(&c, 0, sizeof c);
@@ -51,7 +51,7 @@ static void free_shot(shot *s) {
     free(s->m.hit);
 }
 
-static void draw(shot *s, const voxrt_tree *t, uint32_t samples, int faces) {
+static void quality_draw(shot *s, const voxrt_tree *t, uint32_t samples, int faces) {
     voxrt_render_desc d;
     memset(&d, 0, sizeof d);
     d.camera = s->camera;
@@ -102,7 +102,7 @@ TEST(stairs_close_up) {
     static double exact[SIZE * SIZE], got[SIZE * SIZE];
     uint32_t i;
     for (i = 0; i < 6; i++) {
-        voxrt_tree *t = make_sphere(list[i].depth, 0.95);
+        voxrt_tree *t = quality_make_sphere(list[i].depth, 0.95);
         shot s = make_shot(SIZE);
         const double edge = 2.0 / (1u << list[i].depth), wide = SIZE * edge / list[i].pixels; /* of the picture, in space */
         double p[3], q[3];
@@ -116,11 +116,11 @@ TEST(stairs_close_up) {
         s.camera.fov_y = (float)(2 * atan(0.5 * wide / 20) * 57.29577951308232);
         CHECK(ball_picture(&s.camera, SIZE, SIZE, 1, 0.95, s.light.position, exact, NULL));
         ball_bytes(exact, SIZE * SIZE);
-        draw(&s, t, 16, 1);
+        quality_draw(&s, t, 16, 1);
         picture_bytes(&s, got);
         p[0] = ball_psnr(got, exact, SIZE * SIZE);
         q[0] = ssim(got, exact, SIZE);
-        draw(&s, t, 16, 0);
+        quality_draw(&s, t, 16, 0);
         picture_bytes(&s, got);
         p[1] = ball_psnr(got, exact, SIZE * SIZE);
         q[1] = ssim(got, exact, SIZE);
@@ -150,7 +150,7 @@ TEST(silhouettes_get_smoother_with_samples) {
     enum { SIZE = 64, MANY = 1024 };
     static const uint32_t samples[4] = {1, 4, 16, 64};
     static double cover[SIZE * SIZE];
-    voxrt_tree *t = make_sphere(7, 0.95);
+    voxrt_tree *t = quality_make_sphere(7, 0.95);
     shot s = make_shot(SIZE);
     double error[4];
     uint32_t k, i, edge = 0;
@@ -169,7 +169,7 @@ TEST(silhouettes_get_smoother_with_samples) {
         for (i = 0; i < SIZE * SIZE; i++) cover[i] = (double)s.m.rgba[4 * i + 3];
     }
     for (k = 0; k < 4; k++) {
-        draw(&s, t, samples[k], 0);
+        quality_draw(&s, t, samples[k], 0);
         error[k] = 0;
         for (i = 0, edge = 0; i < SIZE * SIZE; i++) {
             const double e = (double)s.m.rgba[4 * i + 3] - cover[i];
@@ -229,7 +229,7 @@ TEST(normal_codes_in_the_picture) {
 
 /* On the way towards a thing each ray sees it finer and finer: levels never go back. Rays keep their line. */
 TEST(levels_do_not_oscillate) {
-    voxrt_tree *t = make_sphere(8, 0.9);
+    voxrt_tree *t = quality_make_sphere(8, 0.9);
     test_rng r = test_rng_make(11);
     uint32_t rays = 0, lines = test_quick() ? 300 : 2000, k, i, a, back = 0, steps = 0;
     for (k = 0; k < lines; k++) {

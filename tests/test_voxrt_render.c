@@ -5,19 +5,19 @@
 #include "../voxrt.h"
 #include "voxel_list.h"
 
-static voxrt_voxel *add(cells *c, uint32_t x, uint32_t y, uint32_t z, int red, int green, int blue) {
+static voxrt_voxel *render_add(cells *c, uint32_t x, uint32_t y, uint32_t z, int red, int green, int blue) {
     return cells_add(c, x, y, z, (uint32_t)red | (uint32_t)green << 8 | (uint32_t)blue << 16);
 }
 
-static void add_box(cells *c, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1, uint32_t y1, uint32_t z1) {
+static void render_add_box(cells *c, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1, uint32_t y1, uint32_t z1) {
     uint32_t x, y, z;
     for (z = z0; z < z1; z++)
         for (y = y0; y < y1; y++)
-            for (x = x0; x < x1; x++) (void)add(c, x, y, z, 255, 255, 255);
+            for (x = x0; x < x1; x++) (void)render_add(c, x, y, z, 255, 255, 255);
 }
 
 /* A tree of all cells; depth levels; the whole grid is the cube of edge `size` at the origin (0: unit voxels). */
-static voxrt_tree *make_tree(cells *c, uint32_t depth, double size, int normals) {
+static voxrt_tree *render_make_tree(cells *c, uint32_t depth, double size, int normals) {
     voxrt_build_desc d;
     memset(&d, 0, sizeof d);
     d.disable_normals = !normals;
@@ -26,7 +26,7 @@ static voxrt_tree *make_tree(cells *c, uint32_t depth, double size, int normals)
 }
 
 /* A sphere in a grid of 2^depth cells, colours by place. */
-static voxrt_tree *make_sphere(uint32_t depth, double part) {
+static voxrt_tree *render_make_sphere(uint32_t depth, double part) {
     const uint32_t n = 1u << depth;
     cells c;
     size_t i;
@@ -37,11 +37,11 @@ static voxrt_tree *make_sphere(uint32_t depth, double part) {
         c.v[i].rgb[1] = (uint8_t)(c.v[i].y * 255 / n);
         c.v[i].rgb[2] = (uint8_t)(c.v[i].z * 37);
     }
-    return make_tree(&c, depth, 2.0, 1);
+    return render_make_tree(&c, depth, 2.0, 1);
 }
 
 /* All buffers of a picture; `pad` extra bytes behind each row, filled with 0xee. */
-typedef struct picture { voxrt_image m; size_t pad; } picture;
+typedef struct render_picture { voxrt_image m; size_t pad; } render_picture;
 
 static void *rows(size_t stride, uint32_t h) {
     void *p = malloc(stride * h + 1);
@@ -50,8 +50,8 @@ static void *rows(size_t stride, uint32_t h) {
     return p;
 }
 
-static picture make_picture(uint32_t w, uint32_t h, size_t pad, int with_sum) {
-    picture p;
+static render_picture make_picture(uint32_t w, uint32_t h, size_t pad, int with_sum) {
+    render_picture p;
     memset(&p, 0, sizeof p);
     p.pad = pad;
     p.m.width = w;
@@ -69,7 +69,7 @@ static picture make_picture(uint32_t w, uint32_t h, size_t pad, int with_sum) {
     p.m.hit = (voxrt_hit *)rows(p.m.hit_stride, h);
     return p;
 }
-static void free_picture(picture *p) {
+static void free_picture(render_picture *p) {
     free(p->m.rgba8);
     free(p->m.rgba);
     free(p->m.sum);
@@ -83,26 +83,26 @@ static uint64_t hash_rows(const void *p, size_t stride, size_t bytes, uint32_t h
     for (y = 0; y < h; y++) hash = test_fnv1a((const uint8_t *)p + stride * y, bytes, hash);
     return hash;
 }
-static uint64_t hash_picture(const picture *p) {
+static uint64_t hash_picture(const render_picture *p) {
     uint64_t h = hash_rows(p->m.rgba8, p->m.rgba8_stride, 4 * (size_t)p->m.width, p->m.height, 0);
     h = hash_rows(p->m.rgba, p->m.rgba_stride, 16 * (size_t)p->m.width, p->m.height, h);
     h = hash_rows(p->m.depth, p->m.depth_stride, 4 * (size_t)p->m.width, p->m.height, h);
     h = hash_rows(p->m.normal, p->m.normal_stride, 12 * (size_t)p->m.width, p->m.height, h);
     return hash_rows(p->m.hit, p->m.hit_stride, sizeof(voxrt_hit) * (size_t)p->m.width, p->m.height, h);
 }
-static const uint8_t *px(const picture *p, uint32_t x, uint32_t y) {
+static const uint8_t *px(const render_picture *p, uint32_t x, uint32_t y) {
     return p->m.rgba8 + p->m.rgba8_stride * y + 4 * (size_t)x;
 }
-static const float *fpx(const picture *p, uint32_t x, uint32_t y) {
+static const float *fpx(const render_picture *p, uint32_t x, uint32_t y) {
     return (const float *)(const void *)((const uint8_t *)p->m.rgba + p->m.rgba_stride * y + 16 * (size_t)x);
 }
-static float depth_at(const picture *p, uint32_t x, uint32_t y) {
+static float depth_at(const render_picture *p, uint32_t x, uint32_t y) {
     return *(const float *)(const void *)((const uint8_t *)p->m.depth + p->m.depth_stride * y + 4 * (size_t)x);
 }
-static const float *normal_at(const picture *p, uint32_t x, uint32_t y) {
+static const float *normal_at(const render_picture *p, uint32_t x, uint32_t y) {
     return (const float *)(const void *)((const uint8_t *)p->m.normal + p->m.normal_stride * y + 12 * (size_t)x);
 }
-static const voxrt_hit *hit_at(const picture *p, uint32_t x, uint32_t y) {
+static const voxrt_hit *hit_at(const render_picture *p, uint32_t x, uint32_t y) {
     return (const voxrt_hit *)(const void *)((const uint8_t *)p->m.hit + p->m.hit_stride * y + sizeof(voxrt_hit) * x);
 }
 
@@ -111,7 +111,7 @@ static void set3(float *v, double x, double y, double z) {
     v[1] = (float)y;
     v[2] = (float)z;
 }
-static voxrt_camera look(double ex, double ey, double ez, double ax, double ay, double az, float fov) {
+static voxrt_camera render_look(double ex, double ey, double ez, double ax, double ay, double az, float fov) {
     voxrt_camera c;
     memset(&c, 0, sizeof c);
     set3(c.eye, ex, ey, ez);
@@ -123,7 +123,7 @@ static voxrt_camera look(double ex, double ey, double ez, double ax, double ay, 
 /* ---- rays -------------------------------------------------------------------------------------------------- */
 
 TEST(ray_conventions) {
-    voxrt_camera c = look(1, 2, 5, 1, 2, -3, 90);
+    voxrt_camera c = render_look(1, 2, 5, 1, 2, -3, 90);
     voxrt_ray r;
     CHECK(voxrt_camera_ray(&c, 4, 2, 0.5, 0.5, &r) == VOXRT_OK); /* tan 45 = 1: a pixel is 1 wide at depth 1 */
     CHECK_NEAR(r.dir[0], -1.5, 1e-6);
@@ -134,14 +134,14 @@ TEST(ray_conventions) {
     CHECK_NEAR(r.dir[0], 1.5, 1e-6);
     CHECK_NEAR(r.dir[1], -0.5, 1e-6);
     /* from the right, z up: right in the picture is +y */
-    c = look(10, 0, 0, 0, 0, 0, 60);
+    c = render_look(10, 0, 0, 0, 0, 0, 60);
     set3(c.up, 0, 0, 2);
     CHECK(voxrt_camera_ray(&c, 100, 100, 100, 50, &r) == VOXRT_OK);
     CHECK_NEAR(r.dir[0], -1, 1e-6);
     CHECK_NEAR(r.dir[1], tan(acos(-1.0) / 6), 1e-6);
     CHECK_NEAR(r.dir[2], 0, 1e-6);
     /* a tilted camera: the ray of the middle is the view, and t is the depth for every ray */
-    c = look(3, 4, 5, -1, 0.5, 2, 35);
+    c = render_look(3, 4, 5, -1, 0.5, 2, 35);
     set3(c.up, 0.2, 1, 0.1);
     {
         double f[3], l = 0;
@@ -179,9 +179,9 @@ TEST(ray_conventions) {
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
     c.fov_y = NAN;
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
-    c = look(1, 1, 1, 1, 1, 1, 40);
+    c = render_look(1, 1, 1, 1, 1, 1, 40);
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
-    c = look(1, 1, 1, (double)INFINITY, 1, 1, 40);
+    c = render_look(1, 1, 1, (double)INFINITY, 1, 1, 40);
     CHECK(voxrt_camera_ray(&c, 640, 480, 0, 0, &r) == VOXRT_ERR_INVALID_ARG);
 }
 
@@ -230,7 +230,7 @@ TEST(camera_fit) {
     {
         static const double low[3] = {0, 0, 0}, high[3] = {1e39, 1, 1}, off[3] = {1e12, 1e12, 1e12};
         static const double end[3] = {1e12 + 1, 1e12 + 1, 1e12 + 1};
-        voxrt_camera c = look(1, 2, 3, 4, 5, 6, 40), before = c;
+        voxrt_camera c = render_look(1, 2, 3, 4, 5, 6, 40), before = c;
         CHECK(voxrt_camera_fit(&c, low, high, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG); /* too far for a float */
         CHECK(voxrt_camera_fit(&c, off, end, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG); /* floats are 65536 apart there */
         CHECK(memcmp(&c, &before, sizeof c) == 0);
@@ -269,7 +269,7 @@ TEST(camera_fit_of_trees) {
         memset(&l, 0, sizeof l);
         memset(&d, 0, sizeof d);
         for (k = 0; k < cell_count; k++) /* along a diagonal, so that the box says little */
-            (void)add(&l, (uint32_t)((uint64_t)(n - 1) * k / cell_count), (uint32_t)((uint64_t)(n - 1) * k / cell_count),
+            (void)render_add(&l, (uint32_t)((uint64_t)(n - 1) * k / cell_count), (uint32_t)((uint64_t)(n - 1) * k / cell_count),
                       (uint32_t)((uint64_t)(n / 2) * (cell_count - k) / cell_count), 255, 0, 0);
         d.box_size = 0.5 + i;
         d.box_min[1] = 3;
@@ -314,7 +314,7 @@ TEST(camera_fit_of_trees) {
 /* Trees where floats do not reach, or cannot tell one voxel from the next; views that are none. The camera stays. */
 TEST(camera_fit_of_trees_out_of_reach) {
     static const double size[5] = {1e300, 1e39, 1e-3, 1e-300, 1.0}, from[5] = {0, 0, 1e12, 1e30, 1e300};
-    const voxrt_camera before = look(1, 2, 3, 4, 5, 6, 40);
+    const voxrt_camera before = render_look(1, 2, 3, 4, 5, 6, 40);
     const float none[3] = {0, 0, 0}, wrong[3] = {0, NAN, 1};
     cells l;
     voxrt_camera c = before;
@@ -323,7 +323,7 @@ TEST(camera_fit_of_trees_out_of_reach) {
     memset(&l, 0, sizeof l);
     for (k = 0; k < 5; k++) {
         voxrt_build_desc d;
-        add_box(&l, 0, 0, 0, 4, 4, 4);
+        render_add_box(&l, 0, 0, 0, 4, 4, 4);
         memset(&d, 0, sizeof d);
         d.box_size = size[k];
         d.box_min[0] = d.box_min[1] = d.box_min[2] = from[k];
@@ -332,8 +332,8 @@ TEST(camera_fit_of_trees_out_of_reach) {
         CHECK_MSG(voxrt_camera_fit_tree(&c, t, NULL, 10, 10) == VOXRT_ERR_INVALID_ARG, "tree %d", k);
         voxrt_tree_destroy(t);
     }
-    add_box(&l, 0, 0, 0, 4, 4, 4);
-    t = make_tree(&l, 2, 1.0, 0);
+    render_add_box(&l, 0, 0, 0, 4, 4, 4);
+    t = render_make_tree(&l, 2, 1.0, 0);
     REQUIRE(t != NULL);
     CHECK(voxrt_camera_fit_tree(&c, t, none, 10, 10) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_camera_fit_tree(&c, t, wrong, 10, 10) == VOXRT_ERR_INVALID_ARG);
@@ -351,14 +351,14 @@ TEST(depth_and_alpha) {
     cells c;
     voxrt_tree *t;
     voxrt_render_desc d;
-    picture p = make_picture(61, 47, 12, 0);
+    render_picture p = make_picture(61, 47, 12, 0);
     uint32_t x, y, hits = 0, misses = 0, a;
     double f[3], l = 0;
     memset(&c, 0, sizeof c);
-    add_box(&c, 0, 0, 0, 16, 16, 1);
-    t = make_tree(&c, 4, 0, 0);
+    render_add_box(&c, 0, 0, 0, 16, 16, 1);
+    t = render_make_tree(&c, 4, 0, 0);
     memset(&d, 0, sizeof d);
-    d.camera = look(20, 25, 30, 8, 8, 1, 40);
+    d.camera = render_look(20, 25, 30, 8, 8, 1, 40);
     for (a = 0; a < 3; a++) {
         f[a] = (double)d.camera.at[a] - (double)d.camera.eye[a];
         l += f[a] * f[a];
@@ -404,16 +404,16 @@ TEST(orientation_and_unlit_colors) {
     cells c;
     voxrt_tree *t;
     voxrt_render_desc d;
-    picture p = make_picture(64, 64, 0, 0);
+    render_picture p = make_picture(64, 64, 0, 0);
     uint32_t i, x, y, wrong = 0;
     memset(&c, 0, sizeof c);
-    (void)add(&c, 0, 0, 7, 200, 10, 11);
-    (void)add(&c, 7, 0, 7, 12, 201, 13);
-    (void)add(&c, 0, 7, 7, 14, 15, 202);
-    (void)add(&c, 7, 7, 7, 203, 204, 16);
-    t = make_tree(&c, 3, 0, 0);
+    (void)render_add(&c, 0, 0, 7, 200, 10, 11);
+    (void)render_add(&c, 7, 0, 7, 12, 201, 13);
+    (void)render_add(&c, 0, 7, 7, 14, 15, 202);
+    (void)render_add(&c, 7, 7, 7, 203, 204, 16);
+    t = render_make_tree(&c, 3, 0, 0);
     memset(&d, 0, sizeof d);
-    d.camera = look(4, 4, 20, 4, 4, 0, 40);
+    d.camera = render_look(4, 4, 20, 4, 4, 0, 40);
     d.view = VOXRT_VIEW_UNLIT;
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     /* the corner's centre at (+-3.5, +-3.5) and depth 12: 32 + 3.5 / (12 * tan 20) * 32 */
@@ -424,9 +424,9 @@ TEST(orientation_and_unlit_colors) {
     CHECK(px(&p, 32, 32)[3] == 0);
     voxrt_tree_destroy(t);
     /* every byte value, several samples, both ways to compose */
-    for (i = 0; i < 256; i++) (void)add(&c, i & 15u, i >> 4, 0, (int)i, (int)(255 - i), (int)(i * 7 & 255));
-    t = make_tree(&c, 4, 0, 0);
-    d.camera = look(8, 8, 30, 8, 8, 0, 30);
+    for (i = 0; i < 256; i++) (void)render_add(&c, i & 15u, i >> 4, 0, (int)i, (int)(255 - i), (int)(i * 7 & 255));
+    t = render_make_tree(&c, 4, 0, 0);
+    d.camera = render_look(8, 8, 30, 8, 8, 0, 30);
     for (i = 0; i < 4; i++) {
         d.thesis_compose = i & 1u;
         d.samples = i < 2 ? 1 : 5;
@@ -462,7 +462,7 @@ static double to_srgb(double c) {
 }
 
 /* The formulas of shading and composing in double precision, from normal, depth and colour of each pixel (no shadows). */
-static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, const picture *p, uint32_t x, uint32_t y,
+static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, const render_picture *p, uint32_t x, uint32_t y,
                          const uint8_t rgb[3], double out[3]) {
     voxrt_ray r;
     double point[3], n[3], len = 0;
@@ -511,11 +511,11 @@ static void shade_oracle(const voxrt_render_desc *d, const voxrt_material *m, co
 }
 
 TEST(compose) {
-    voxrt_tree *t = make_sphere(5, 0.9);
+    voxrt_tree *t = render_make_sphere(5, 0.9);
     voxrt_render_desc d;
     voxrt_light light[3];
     voxrt_material m;
-    picture p = make_picture(96, 80, 0, 0);
+    render_picture p = make_picture(96, 80, 0, 0);
     uint32_t mode, x, y, a, seen = 0, cut = 0;
     memset(light, 0, sizeof light);
     memset(&d, 0, sizeof d);
@@ -529,7 +529,7 @@ TEST(compose) {
     set3(light[2].color, 0.3, 0.3, 2.5);
     set3(m.ambient, 0.1, 0.02, 0);
     m.diffuse = 0.8f;
-    d.camera = look(3, 2, 4, 1, 1, 1, 45);
+    d.camera = render_look(3, 2, 4, 1, 1, 1, 45);
     d.lights = light;
     d.light_count = 3;
     d.material = &m;
@@ -567,8 +567,8 @@ TEST(compose) {
 }
 
 TEST(default_picture) { /* everything zero: framed, lit, not black, not burnt out */
-    voxrt_tree *t = make_sphere(6, 0.95);
-    picture p = make_picture(80, 60, 0, 0);
+    voxrt_tree *t = render_make_sphere(6, 0.95);
+    render_picture p = make_picture(80, 60, 0, 0);
     uint32_t x, y, hits = 0, burnt = 0, dark = 0;
     CHECK(voxrt_render(NULL, t, &p.m, NULL) == VOXRT_OK);
     for (y = 0; y < 60; y++)
@@ -592,24 +592,24 @@ TEST(two_sided) {
     voxrt_tree *t;
     voxrt_render_desc d;
     voxrt_light light;
-    picture p = make_picture(32, 32, 0, 0);
+    render_picture p = make_picture(32, 32, 0, 0);
     uint32_t x, y;
     memset(&c, 0, sizeof c);
     memset(&d, 0, sizeof d);
     memset(&light, 0, sizeof light);
     for (y = 0; y < 16; y++)
         for (x = 0; x < 16; x++) {
-            voxrt_voxel *v = add(&c, x, y, 8, 255, 255, 255);
+            voxrt_voxel *v = render_add(&c, x, y, 8, 255, 255, 255);
             v->has_normal = 1;
             set3(v->normal, 0, 0, -1);
         }
-    t = make_tree(&c, 4, 0, 1);
+    t = render_make_tree(&c, 4, 0, 1);
     set3(light.position, 0, 0, 1);
     set3(light.color, 0.5, 0.5, 0.5);
     light.directional = 1;
     d.lights = &light;
     d.light_count = 1;
-    d.camera = look(8, 8, 30, 8, 8, 0, 30);
+    d.camera = render_look(8, 8, 30, 8, 8, 0, 30);
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     CHECK_NEAR(fpx(&p, 16, 16)[0], 0.55, 2e-4);
     CHECK(normal_at(&p, 16, 16)[2] > 0.99f);
@@ -632,15 +632,15 @@ TEST(shadows) {
     voxrt_render_desc d;
     voxrt_render_stats stats;
     voxrt_light light;
-    picture p = make_picture(96, 96, 0, 0);
+    render_picture p = make_picture(96, 96, 0, 0);
     uint32_t k, x, y;
     memset(&c, 0, sizeof c);
-    add_box(&c, 0, 0, 0, 32, 1, 32);     /* floor */
-    add_box(&c, 12, 20, 12, 20, 22, 20); /* a lid above its middle */
-    t = make_tree(&c, 5, 0, 0);
+    render_add_box(&c, 0, 0, 0, 32, 1, 32);     /* floor */
+    render_add_box(&c, 12, 20, 12, 20, 22, 20); /* a lid above its middle */
+    t = render_make_tree(&c, 5, 0, 0);
     memset(&d, 0, sizeof d);
     memset(&light, 0, sizeof light);
-    d.camera = look(16, 12, 60, 16, 0, 16, 40);
+    d.camera = render_look(16, 12, 60, 16, 0, 16, 40);
     d.lights = &light;
     d.light_count = 1;
     set3(light.color, 0.5, 0.5, 0.5);
@@ -687,8 +687,8 @@ TEST(self_shadow) {
     const char *deeper = getenv("TEST_DEPTH");
     if (deeper != NULL) most = (uint32_t)atoi(deeper);
     for (depth = 5; depth <= most; depth++) {
-        voxrt_tree *t = make_sphere(depth, 0.95);
-        picture p = make_picture(200, 200, 0, 0);
+        voxrt_tree *t = render_make_sphere(depth, 0.95);
+        render_picture p = make_picture(200, 200, 0, 0);
         uint32_t way, lit = 0, dark[2] = {0, 0};
         for (way = 0; way < 2; way++)
             for (i = 0, lit = 0; i < 6; i++) {
@@ -703,7 +703,7 @@ TEST(self_shadow) {
                 d.light_count = 1;
                 d.shadows = 1;
                 d.thesis_shadows = way == 0;
-                d.camera = look(2.6, 2.2, 4, 1, 1, 1, 32);
+                d.camera = render_look(2.6, 2.2, 4, 1, 1, 1, 32);
                 CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
                 for (y = 0; y < 200; y++)
                     for (x = 0; x < 200; x++) {
@@ -737,7 +737,7 @@ TEST(self_shadow) {
 typedef struct level_cells { cells c; } level_cells;
 static int take_cell(void *user, const voxrt_voxel *v, uint32_t index) {
     level_cells *l = (level_cells *)user;
-    voxrt_voxel *out = add(&l->c, v->x, v->y, v->z, v->rgb[0], v->rgb[1], v->rgb[2]);
+    voxrt_voxel *out = render_add(&l->c, v->x, v->y, v->z, v->rgb[0], v->rgb[1], v->rgb[2]);
     (void)index;
     out->has_normal = v->has_normal;
     memcpy(out->normal, v->normal, sizeof out->normal);
@@ -747,9 +747,9 @@ static int take_cell(void *user, const voxrt_voxel *v, uint32_t index) {
 TEST(forced_level) { /* is the picture of a tree that ends at that level */
     uint32_t depth, k, x, y;
     for (depth = 5; depth <= 6; depth++) {
-        voxrt_tree *t = make_sphere(depth, 0.9);
+        voxrt_tree *t = render_make_sphere(depth, 0.9);
         for (k = 1; k <= depth; k++) {
-            picture p = make_picture(72, 56, 0, 0), q = make_picture(72, 56, 0, 0);
+            render_picture p = make_picture(72, 56, 0, 0), q = make_picture(72, 56, 0, 0);
             voxrt_render_desc d;
             level_cells l;
             voxrt_tree *coarse;
@@ -757,8 +757,8 @@ TEST(forced_level) { /* is the picture of a tree that ends at that level */
             memset(&l, 0, sizeof l);
             memset(&d, 0, sizeof d);
             CHECK(voxrt_tree_each(t, k, take_cell, &l) == 0);
-            coarse = make_tree(&l.c, k, 2.0, 1);
-            d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+            coarse = render_make_tree(&l.c, k, 2.0, 1);
+            d.camera = render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
             CHECK(voxrt_render(&d, coarse, &q.m, NULL) == VOXRT_OK);
             d.max_level_plus_1 = k + 1;
             CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
@@ -783,17 +783,17 @@ TEST(forced_level) { /* is the picture of a tree that ends at that level */
    more than a cell. */
 TEST(tolerance_in_pixels) {
     static const float tolerance[4] = {0.5f, 1.0f, 2.5f, 7.0f};
-    voxrt_tree *t = make_sphere(test_quick() ? 6 : 7, 0.9);
+    voxrt_tree *t = render_make_sphere(test_quick() ? 6 : 7, 0.9);
     voxrt_tree_info info;
-    picture p = make_picture(130, 110, 0, 0), full = make_picture(130, 110, 0, 0);
+    render_picture p = make_picture(130, 110, 0, 0), full = make_picture(130, 110, 0, 0);
     uint32_t e, k, x, y;
     voxrt_tree_get_info(t, &info);
     for (k = 0; k < 3; k++) {
         voxrt_render_desc d;
         double pixel;
         memset(&d, 0, sizeof d);
-        d.camera = k == 0 ? look(2, 2, 9, 1, 1, 1, 25) : k == 1 ? look(1.2, 2.6, 2.2, 1, 1, 1, 60) :
-                   look(-60, 20, 90, 1, 1, 1, 2);
+        d.camera = k == 0 ? render_look(2, 2, 9, 1, 1, 1, 25) : k == 1 ? render_look(1.2, 2.6, 2.2, 1, 1, 1, 60) :
+                   render_look(-60, 20, 90, 1, 1, 1, 2);
         pixel = 2 * tan((double)d.camera.fov_y * 0.00872664626) / 110;
         CHECK(voxrt_render(&d, t, &full.m, NULL) == VOXRT_OK);
         for (e = 0; e < 4; e++) {
@@ -852,7 +852,7 @@ static voxrt_tree *make_random(test_rng *r, uint32_t depth) {
             to[a] = from[a] + 1 + test_rng_below(r, n / 4);
             to[a] = to[a] < n ? to[a] : n;
         }
-        if (kind == 1) add_box(&c, from[0], from[1], from[2], to[0], to[1], to[2]);
+        if (kind == 1) render_add_box(&c, from[0], from[1], from[2], to[0], to[1], to[2]);
         for (i = 0; i < count && kind != 1; i++) {
             double p[3], length = 0;
             for (a = 0; a < 3; a++) {
@@ -861,18 +861,18 @@ static voxrt_tree *make_random(test_rng *r, uint32_t depth) {
             }
             for (a = 0; a < 3 && kind == 0; a++) p[a] = from[a] + radius * p[a] / sqrt(length + 1e-9);
             for (a = 0; a < 3 && p[a] >= 0 && p[a] < n; a++) {}
-            if (a == 3) (void)add(&c, (uint32_t)p[0], (uint32_t)p[1], (uint32_t)p[2], 255, (int)(i % 256), 0);
+            if (a == 3) (void)render_add(&c, (uint32_t)p[0], (uint32_t)p[1], (uint32_t)p[2], 255, (int)(i % 256), 0);
         }
     }
-    (void)add(&c, n / 2, n / 3, n / 4, 0, 0, 255);
-    return make_tree(&c, depth, 2.0, 0);
+    (void)render_add(&c, n / 2, n / 3, n / 4, 0, 0, 255);
+    return render_make_tree(&c, depth, 2.0, 0);
 }
 
 /* The same of 240 random scenes, cameras (a few of them among the voxels) and tolerances. */
 TEST(tolerance_of_random_scenes) {
     enum { W = 72, H = 54 };
     const uint32_t count = test_quick() ? 40 : 240;
-    picture p = make_picture(W, H, 0, 0), full = make_picture(W, H, 0, 0);
+    render_picture p = make_picture(W, H, 0, 0), full = make_picture(W, H, 0, 0);
     uint32_t k, x, y, hits = 0, levels = 0, outlines = 0;
     for (k = 0; k < count; k++) {
         test_rng r = test_rng_make(9000 + k);
@@ -886,7 +886,7 @@ TEST(tolerance_of_random_scenes) {
         REQUIRE(t != NULL);
         voxrt_tree_get_info(t, &info);
         memset(&d, 0, sizeof d);
-        d.camera = look(1 + distance * cos(angle), 1 + distance * high, 1 + distance * sin(angle), 1, 1, 1,
+        d.camera = render_look(1 + distance * cos(angle), 1 + distance * high, 1 + distance * sin(angle), 1, 1, 1,
                         (float)(distance < 3 ? 40 + 20 * test_rng_double(&r) : 150 / distance));
         pixel = 2 * tan((double)d.camera.fov_y * 0.00872664626) / H;
         CHECK(voxrt_render(&d, t, &full.m, NULL) == VOXRT_OK);
@@ -921,9 +921,9 @@ TEST(tolerance_of_random_scenes) {
 }
 
 TEST(object_level) { /* the coarsest level with size / 2^level <= q e, e: width of a pixel at the box's nearest point */
-    voxrt_tree *t = make_sphere(6, 0.9);
+    voxrt_tree *t = render_make_sphere(6, 0.9);
     voxrt_tree_info info;
-    picture p = make_picture(64, 64, 0, 0);
+    render_picture p = make_picture(64, 64, 0, 0);
     uint32_t k, levels = 0, last = 99;
     double box_min[3], box_max[3];
     voxrt_tree_get_info(t, &info);
@@ -936,7 +936,7 @@ TEST(object_level) { /* the coarsest level with size / 2^level <= q e, e: width 
         memset(&d, 0, sizeof d);
         d.object_lod = 1;
         d.tolerance = k % 3 == 0 ? 0.0f : 0.7f * (float)(k % 3);
-        d.camera = look(1 + far_away, 1.01, 1.02, 1, 1.01, 1.02, 50);
+        d.camera = render_look(1 + far_away, 1.01, 1.02, 1, 1.01, 1.02, 50);
         CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
         for (a = 0; a < 3; a++) {
             double low = box_min[a] - (double)d.camera.eye[a], high = (double)d.camera.eye[a] - box_max[a];
@@ -965,7 +965,7 @@ static void backwards(voxrt_task_fn *task, void *ctx, uint32_t count, void *user
 
 TEST(threads_tiles_isa) {
     static const uint32_t threads[5] = {1, 2, 3, 8, 64};
-    voxrt_tree *t = make_sphere(6, 0.9);
+    voxrt_tree *t = render_make_sphere(6, 0.9);
     uint32_t k, mode;
     for (mode = 0; mode < 3; mode++) {
         voxrt_render_desc d;
@@ -975,7 +975,7 @@ TEST(threads_tiles_isa) {
         d.samples = mode == 0 ? 1 : 3;
         d.tolerance = mode == 2 ? 1.5f : 0.0f;
         for (k = 0; k < 11; k++) {
-            picture p = make_picture(133, 75, k == 4 ? 20 : 0, k & 1u);
+            render_picture p = make_picture(133, 75, k == 4 ? 20 : 0, k & 1u);
             voxrt_render_stats stats;
             uint64_t h;
             memset(&stats, 0, sizeof stats);
@@ -997,17 +997,17 @@ TEST(threads_tiles_isa) {
 
 /* A picture is what its rays meet one by one, also with level of detail: runs of rays must not change anything. */
 TEST(single_rays) {
-    voxrt_tree *t = make_sphere(6, 0.9);
+    voxrt_tree *t = render_make_sphere(6, 0.9);
     uint32_t mode, x, y;
     for (mode = 0; mode < 12; mode++) {
-        picture p = make_picture(70, 50, 0, 0);
+        render_picture p = make_picture(70, 50, 0, 0);
         voxrt_render_desc d;
         voxrt_trace_desc td;
         voxrti_frame f;
         uint32_t differ = 0;
         memset(&d, 0, sizeof d);
         memset(&td, 0, sizeof td);
-        d.camera = mode & 1u ? look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40) : look(-7, 0.5, -9, 1, 1, 1, 15);
+        d.camera = mode & 1u ? render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40) : render_look(-7, 0.5, -9, 1, 1, 1, 15);
         if (mode < 8) td.max_level_plus_1 = d.max_level_plus_1 = mode; /* 0: all, 1: the root, ... */
         else d.tolerance = 0.4f * (float)(mode - 7) * (float)(mode - 7);
         CHECK(voxrti_frame_open(&d.camera, 50, &f) == VOXRT_OK);
@@ -1029,8 +1029,8 @@ TEST(single_rays) {
 }
 
 TEST(progressive) {
-    voxrt_tree *t = make_sphere(6, 0.9);
-    picture p = make_picture(75, 66, 0, 1), q = make_picture(75, 66, 0, 0), ref = make_picture(75, 66, 0, 0);
+    voxrt_tree *t = render_make_sphere(6, 0.9);
+    render_picture p = make_picture(75, 66, 0, 1), q = make_picture(75, 66, 0, 0), ref = make_picture(75, 66, 0, 0);
     voxrt_render_desc d;
     uint32_t k, x, y, a, partial = 0;
     double error[2] = {0, 0}, last = 0;
@@ -1074,12 +1074,12 @@ TEST(progressive) {
 /* ---- views, background, stages ----------------------------------------------------------------------------- */
 
 TEST(views) {
-    voxrt_tree *t = make_sphere(5, 0.9);
-    picture p[5];
+    voxrt_tree *t = render_make_sphere(5, 0.9);
+    render_picture p[5];
     voxrt_render_desc d;
     uint32_t k, x, y, wrong = 0;
     memset(&d, 0, sizeof d);
-    d.camera = look(4, 3, 5, 1, 1, 1, 30);
+    d.camera = render_look(4, 3, 5, 1, 1, 1, 30);
     for (k = 0; k < 4; k++) {
         p[k] = make_picture(100, 40, 0, 0);
         d.view = (voxrt_view)k; /* shaded, unlit, light, split */
@@ -1132,12 +1132,12 @@ TEST(views) {
 }
 
 TEST(heat) {
-    voxrt_tree *t = make_sphere(6, 0.9);
-    picture p[2];
+    voxrt_tree *t = render_make_sphere(6, 0.9);
+    render_picture p[2];
     voxrt_render_desc d;
     uint32_t k, x, y, seen[5] = {0, 0, 0, 0, 0};
     memset(&d, 0, sizeof d);
-    d.camera = look(4, 3, 5, 1, 1, 1, 30);
+    d.camera = render_look(4, 3, 5, 1, 1, 1, 30);
     d.heat_max = 20;
     for (k = 0; k < 2; k++) {
         p[k] = make_picture(60, 40, 0, 0);
@@ -1188,10 +1188,10 @@ TEST(heat) {
 }
 
 TEST(stages) {
-    voxrt_tree *t = make_sphere(5, 0.9);
+    voxrt_tree *t = render_make_sphere(5, 0.9);
     uint32_t k, x, y, hits[4] = {0, 0, 0, 0};
     for (k = 0; k < 4; k++) {
-        picture p = make_picture(60, 40, 0, 0);
+        render_picture p = make_picture(60, 40, 0, 0);
         voxrt_render_desc d;
         voxrt_render_stats stats;
         memset(&d, 0, sizeof d);
@@ -1219,7 +1219,7 @@ TEST(geometry) { /* two trees drawn together are the picture of one tree with al
     voxrt_tree *t[3];
     voxrt_geometry g[2];
     voxrt_render_desc d;
-    picture p = make_picture(90, 70, 0, 0), q = make_picture(90, 70, 0, 0);
+    render_picture p = make_picture(90, 70, 0, 0), q = make_picture(90, 70, 0, 0);
     test_rng rng = test_rng_make(3);
     uint32_t i, k, x, y;
     memset(c, 0, sizeof c);
@@ -1227,13 +1227,13 @@ TEST(geometry) { /* two trees drawn together are the picture of one tree with al
         uint32_t at[3], a;
         for (a = 0; a < 3; a++) at[a] = test_rng_below(&rng, 16);
         k = (at[0] ^ at[1] ^ at[2]) & 1u;
-        (void)add(&c[k], at[0], at[1], at[2], (int)at[0] * 16, (int)at[1] * 16, (int)at[2] * 16);
-        (void)add(&c[2], at[0], at[1], at[2], (int)at[0] * 16, (int)at[1] * 16, (int)at[2] * 16);
+        (void)render_add(&c[k], at[0], at[1], at[2], (int)at[0] * 16, (int)at[1] * 16, (int)at[2] * 16);
+        (void)render_add(&c[2], at[0], at[1], at[2], (int)at[0] * 16, (int)at[1] * 16, (int)at[2] * 16);
     }
-    for (i = 0; i < 3; i++) t[i] = make_tree(&c[i], 4, 0, 0);
+    for (i = 0; i < 3; i++) t[i] = render_make_tree(&c[i], 4, 0, 0);
     memset(&d, 0, sizeof d);
     d.shadows = 1;
-    d.camera = look(30, 25, 40, 8, 8, 8, 30);
+    d.camera = render_look(30, 25, 40, 8, 8, 8, 30);
     CHECK(voxrt_render(&d, t[2], &p.m, NULL) == VOXRT_OK);
     for (k = 0; k < 2; k++) {
         uint32_t differ = 0;
@@ -1259,13 +1259,13 @@ TEST(geometry) { /* two trees drawn together are the picture of one tree with al
 }
 
 TEST(thesis_path) { /* the octree of 2009 shows the same surface but for its few wrong voxels */
-    voxrt_tree *t = make_sphere(6, 0.9);
+    voxrt_tree *t = render_make_sphere(6, 0.9);
     voxrt_octree *o = NULL;
     voxrt_octree_desc od;
     voxrt_geometry g;
     voxrt_render_desc d;
     voxrt_render_stats stats;
-    picture p = make_picture(120, 90, 0, 0), q = make_picture(120, 90, 0, 0);
+    render_picture p = make_picture(120, 90, 0, 0), q = make_picture(120, 90, 0, 0);
     uint32_t x, y, hits = 0, differ = 0;
     memset(&od, 0, sizeof od);
     memset(&d, 0, sizeof d);
@@ -1273,7 +1273,7 @@ TEST(thesis_path) { /* the octree of 2009 shows the same surface but for its few
     CHECK(voxrt_octree_from_tree(&od, t, &o) == VOXRT_OK);
     REQUIRE(o != NULL);
     d.shadows = 1;
-    d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+    d.camera = render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     voxrt_octree_geometry(o, &g);
     d.geometry = &g;
@@ -1304,17 +1304,17 @@ static int cancel_fn(void *user, uint64_t done, uint64_t total) {
 
 TEST(edges) {
     static const uint32_t size[6][2] = {{0, 0}, {1, 1}, {0, 5}, {5, 0}, {1, 77}, {77, 1}};
-    voxrt_tree *t = make_sphere(4, 0.9);
+    voxrt_tree *t = render_make_sphere(4, 0.9);
     voxrt_render_desc d;
     voxrt_light light;
     voxrt_image empty;
     voxrt_error error;
-    picture p = make_picture(33, 100, 0, 0);
+    render_picture p = make_picture(33, 100, 0, 0);
     uint32_t k, calls = 0;
     memset(&d, 0, sizeof d);
     memset(&light, 0, sizeof light);
     for (k = 0; k < 6; k++) {
-        picture q = make_picture(size[k][0], size[k][1], 0, 1);
+        render_picture q = make_picture(size[k][0], size[k][1], 0, 1);
         d.shadows = 1;
         d.samples = 2;
         CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
@@ -1380,7 +1380,7 @@ TEST(edges) {
     CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "camera") != NULL);
     d.camera.eye[0] = 0;
     { /* the most that is allowed: nothing overflows, also where it is blurred */
-        picture q = make_picture(40, 30, 0, 1);
+        render_picture q = make_picture(40, 30, 0, 1);
         voxrt_material m;
         double before = 1e9;
         uint32_t x, bad = 0;
@@ -1399,7 +1399,7 @@ TEST(edges) {
         set3(d.background, 0, 0, 0);
         set3(light.color, 1, 1, 1);
         m.specular = 1;
-        d.camera = look(4, 3, 4, 1, 1, 1, 40);
+        d.camera = render_look(4, 3, 4, 1, 1, 1, 40);
         d.samples = 1;
         for (k = 0; k < 5; k++) {
             static const float sharp[5] = {1, 30, 300, 2000, 1e9f};
@@ -1422,7 +1422,7 @@ TEST(edges) {
         set3(light.position, 0, 0, 0);
     }
     { /* a light so far from a surface so far away that no float holds the way: dark, but a number */
-        picture q = make_picture(20, 15, 0, 1);
+        render_picture q = make_picture(20, 15, 0, 1);
         voxrt_voxel v;
         voxrt_build_desc b;
         voxrt_tree *far_tree = NULL;
@@ -1454,24 +1454,24 @@ TEST(edges) {
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_ERR_CANCELLED);
     CHECK_EQ_U64(calls, 2);
     d.env.progress_fn = NULL;
-    d.camera = look(1, 1, 1, 5, 1, 1, 40); /* from inside, and away */
+    d.camera = render_look(1, 1, 1, 5, 1, 1, 40); /* from inside, and away */
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     CHECK(depth_at(&p, 16, 50) > 0.5f && depth_at(&p, 16, 50) < 1.0f);
-    d.camera = look(9, 1, 1, 50, 1, 1, 40);
+    d.camera = render_look(9, 1, 1, 50, 1, 1, 40);
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     CHECK(depth_at(&p, 16, 50) == INFINITY);
-    d.camera = look(1.9, 1, 1, 1, 1, 1, 40); /* eye within a voxel */
+    d.camera = render_look(1.9, 1, 1, 1, 1, 1, 40); /* eye within a voxel */
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     voxrt_tree_destroy(t);
     free_picture(&p);
 }
 
 TEST(allocations) { /* drawing takes none; blur fails cleanly */
-    voxrt_tree *t = make_sphere(4, 0.9);
+    voxrt_tree *t = render_make_sphere(4, 0.9);
     test_alloc ta;
     voxrt_render_desc d;
     voxrt_blur_desc b;
-    picture p = make_picture(50, 50, 0, 1);
+    render_picture p = make_picture(50, 50, 0, 1);
     uint64_t before;
     test_alloc_init(&ta);
     memset(&d, 0, sizeof d);
@@ -1502,8 +1502,8 @@ TEST(allocations) { /* drawing takes none; blur fails cleanly */
 
 TEST(encode_and_blur) {
     voxrt_error error;
-    voxrt_tree *t = make_sphere(5, 0.9);
-    picture p = make_picture(70, 50, 8, 0), q;
+    voxrt_tree *t = render_make_sphere(5, 0.9);
+    render_picture p = make_picture(70, 50, 8, 0), q;
     voxrt_render_desc d;
     voxrt_blur_desc b;
     float *before;
@@ -1556,7 +1556,7 @@ TEST(encode_and_blur) {
         uint32_t changed = 0, outline = 0;
         voxrt_tree_info info;
         voxrt_tree_get_info(t, &info);
-        d.camera = i == 0 ? look(1, 1, 40, 1, 1, 1, 40) : look(1, 1, 3.4, 1, 1, 1, 40);
+        d.camera = i == 0 ? render_look(1, 1, 40, 1, 1, 1, 40) : render_look(1, 1, 3.4, 1, 1, 1, 40);
         CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
         CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
         memset(&b, 0, sizeof b);
@@ -1631,20 +1631,20 @@ TEST(frame_budget) {
 /* One ray for each block of pixels: the picture is that of an image with fewer pixels, with each pixel as a block. */
 TEST(blocks_of_pixels) {
     static const uint32_t sizes[3][2] = {{128, 96}, {64, 64}, {176, 8}};
-    voxrt_tree *t = make_sphere(6, 0.9);
+    voxrt_tree *t = render_make_sphere(6, 0.9);
     uint32_t s, step, k, x, y;
     for (s = 0; s < 3; s++)
         for (step = 2; step <= 8; step *= 2)
             for (k = 0; k < 3; k++) {
                 const uint32_t w = sizes[s][0], h = sizes[s][1];
-                picture p = make_picture(w, h, 4, 1), q = make_picture(w / step, h / step, 0, 1);
+                render_picture p = make_picture(w, h, 4, 1), q = make_picture(w / step, h / step, 0, 1);
                 voxrt_render_desc d;
                 uint32_t wrong = 0;
                 memset(&d, 0, sizeof d);
                 d.shadows = 1;
                 d.samples = k == 1 ? 5 : 1;
                 d.tolerance = k == 2 ? 1.0f : 0.0f;
-                d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+                d.camera = render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
                 CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
                 d.pixel_step = step;
                 d.tolerance *= (float)step; /* in pixels of this picture */
@@ -1662,7 +1662,7 @@ TEST(blocks_of_pixels) {
                 free_picture(&q);
             }
     for (step = 1; step <= 9; step++) { /* any size, any step: threads change nothing, each block has one value */
-        picture p = make_picture(101, 67, 0, 1), q = make_picture(101, 67, 12, 1);
+        render_picture p = make_picture(101, 67, 0, 1), q = make_picture(101, 67, 12, 1);
         voxrt_render_desc d;
         voxrt_render_stats stats;
         uint32_t wrong = 0, blocks = 0;
@@ -1670,7 +1670,7 @@ TEST(blocks_of_pixels) {
         memset(&stats, 0, sizeof stats);
         d.pixel_step = step;
         d.lod_split = step == 3 ? 4 : 0;
-        d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+        d.camera = render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
         d.env.thread_count = 1;
         d.first_sample = 0;
         d.samples = 2;
@@ -1750,8 +1750,8 @@ static void own_frame(void *user, const voxrt_image *image) {
 TEST(steps_of_the_caller) {
     enum { SIZE = 60 };
     static own_steps o;
-    voxrt_tree *t = make_sphere(5, 0.9);
-    picture p = make_picture(SIZE, SIZE, 0, 0), q = make_picture(SIZE, SIZE, 0, 0);
+    voxrt_tree *t = render_make_sphere(5, 0.9);
+    render_picture p = make_picture(SIZE, SIZE, 0, 0), q = make_picture(SIZE, SIZE, 0, 0);
     voxrt_render_desc d;
     voxrt_states s;
     uint32_t k, x, y, differ = 0;
@@ -1759,7 +1759,7 @@ TEST(steps_of_the_caller) {
     memset(&s, 0, sizeof s);
     memset(&o, 0, sizeof o);
     o.size = SIZE;
-    o.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+    o.camera = render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
     o.image = &q.m;
     d.camera = o.camera;
     CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
@@ -1802,7 +1802,7 @@ TEST(steps_of_the_caller) {
 }
 
 /* Rays of the caller's own that begin behind what they meet: t below 0, and shadows all the same. */
-static void behind_ray(void *user, double x, double y, voxrt_ray *ray) {
+static void render_behind_ray(void *user, double x, double y, voxrt_ray *ray) {
     const float shift = *(const float *)user;
     uint32_t a;
     (void)x;
@@ -1813,8 +1813,8 @@ static void behind_ray(void *user, double x, double y, voxrt_ray *ray) {
 
 TEST(behind_the_origin) {
     float shift = 0.0f;
-    voxrt_tree *t = make_sphere(5, 0.9);
-    picture p = make_picture(60, 60, 0, 0);
+    voxrt_tree *t = render_make_sphere(5, 0.9);
+    render_picture p = make_picture(60, 60, 0, 0);
     voxrt_render_desc d;
     voxrt_states s;
     voxrt_render_stats stats[2];
@@ -1822,11 +1822,11 @@ TEST(behind_the_origin) {
     memset(&d, 0, sizeof d);
     memset(&s, 0, sizeof s);
     memset(stats, 0, sizeof stats);
-    d.camera = look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
+    d.camera = render_look(3.1, 2.3, 4.2, 1, 1.05, 0.95, 40);
     d.shadows = 1;
     d.tolerance = 1.0f;
     d.states = &s;
-    s.ray_fn = behind_ray;
+    s.ray_fn = render_behind_ray;
     s.user = &shift;
     for (k = 0; k < 2; k++) {
         shift = k == 0 ? 0.0f : 64.0f;
@@ -1847,14 +1847,14 @@ TEST(fronts_and_backs) {
     uint32_t shape, k, x, y, a;
     for (shape = 0; shape < 2; shape++) { /* a sphere, and wavy ridges as sharp as voxels can show */
         voxrt_tree *t[2] = {NULL, NULL};
-        picture p = make_picture(SIDE, SIDE, 0, 0), q = make_picture(SIDE, SIDE, 0, 0), o = make_picture(SIDE, SIDE, 0, 0);
+        render_picture p = make_picture(SIDE, SIDE, 0, 0), q = make_picture(SIDE, SIDE, 0, 0), o = make_picture(SIDE, SIDE, 0, 0);
         uint32_t inside, hits = 0, wrong = 0, turned = 0;
         for (inside = 0; inside < 2; inside++) {
             cells c;
             memset(&c, 0, sizeof c);
             if (shape == 0) {
                 level_cells l;
-                voxrt_tree *s = make_sphere(6, 0.9);
+                voxrt_tree *s = render_make_sphere(6, 0.9);
                 memset(&l, 0, sizeof l);
                 CHECK(voxrt_tree_each(s, 6, take_cell, &l) == 0);
                 voxrt_tree_destroy(s);
@@ -1868,20 +1868,20 @@ TEST(fronts_and_backs) {
                         const int h = 20 - (abs(u) > abs(v) ? abs(u) : abs(v));
                         uint32_t z;
                         for (z = 0; z < 3; z++) {
-                            voxrt_voxel *w = add(&c, x, (uint32_t)(h - (int)z), y, 255, 255, 255);
+                            voxrt_voxel *w = render_add(&c, x, (uint32_t)(h - (int)z), y, 255, 255, 255);
                             w->has_normal = 1;
                             set3(w->normal, abs(u) >= abs(v) ? (u > 0) - (u < 0) : 0, 1, abs(v) >= abs(u) ? (v > 0) - (v < 0) : 0);
                             for (a = 0; a < 3 && inside; a++) w->normal[a] = -w->normal[a];
                         }
                     }
             }
-            t[inside] = make_tree(&c, 6, 2.0, 1);
+            t[inside] = render_make_tree(&c, 6, 2.0, 1);
         }
         for (k = 0; k < 5; k++) {
             voxrt_render_desc d;
             memset(&d, 0, sizeof d);
             if (shape == 1 && view[k][1] <= 0.5) continue; /* from above */
-            d.camera = look(1 + view[k][0], 1 + view[k][1], 1 + view[k][2], 1, shape ? 0.5 : 1, 1, 40);
+            d.camera = render_look(1 + view[k][0], 1 + view[k][1], 1 + view[k][2], 1, shape ? 0.5 : 1, 1, 40);
             CHECK(voxrt_render(&d, t[0], &p.m, NULL) == VOXRT_OK);
             CHECK(voxrt_render(&d, t[1], &q.m, NULL) == VOXRT_OK);
             d.one_sided = 1;

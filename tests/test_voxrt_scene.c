@@ -6,7 +6,7 @@
 
 enum { RUN = 64 };
 
-static voxrt_tree *tree_of(const voxrt_voxel *v, size_t n, uint32_t depth, int normals) {
+static voxrt_tree *scene_tree_of(const voxrt_voxel *v, size_t n, uint32_t depth, int normals) {
     voxrt_build_desc d;
     voxrt_tree *t = NULL;
     memset(&d, 0, sizeof d);
@@ -33,7 +33,7 @@ static voxrt_voxel any_voxel(test_rng *r, uint32_t side) { /* one number after t
 }
 
 /* A shell of voxels around the middle of a grid, with the normals of a sphere. */
-static voxrt_tree *ball(uint32_t depth) {
+static voxrt_tree *scene_ball(uint32_t depth) {
     const uint32_t n = 1u << depth;
     voxrt_voxel *v = (voxrt_voxel *)malloc(sizeof *v * n * n * n);
     voxrt_tree *t;
@@ -52,15 +52,15 @@ static voxrt_tree *ball(uint32_t depth) {
                 for (a = 0; a < 3; a++) v[count].normal[a] = (float)(p[a] / r);
                 count++;
             }
-    t = tree_of(v, count, depth, 1);
+    t = scene_tree_of(v, count, depth, 1);
     free(v);
     return t;
 }
 
-typedef struct picture { voxrt_image m; } picture;
+typedef struct scene_picture { voxrt_image m; } scene_picture;
 
-static picture make_picture(uint32_t w, uint32_t h) {
-    picture p;
+static scene_picture scene_make_picture(uint32_t w, uint32_t h) {
+    scene_picture p;
     memset(&p, 0, sizeof p);
     p.m.width = w;
     p.m.height = h;
@@ -70,12 +70,12 @@ static picture make_picture(uint32_t w, uint32_t h) {
     if (p.m.rgba8 == NULL || p.m.depth == NULL || p.m.normal == NULL) exit(1);
     return p;
 }
-static void free_picture(picture *p) {
+static void scene_free_picture(scene_picture *p) {
     free(p->m.rgba8);
     free(p->m.depth);
     free(p->m.normal);
 }
-static uint32_t differences(const picture *p, const picture *q) {
+static uint32_t differences(const scene_picture *p, const scene_picture *q) {
     uint32_t i, n = 0;
     for (i = 0; i < p->m.width * p->m.height; i++)
         n += memcmp(p->m.rgba8 + 4 * i, q->m.rgba8 + 4 * i, 4) != 0 || p->m.depth[i] != q->m.depth[i] ||
@@ -85,7 +85,7 @@ static uint32_t differences(const picture *p, const picture *q) {
 
 /* Pixels that differ though what is seen is not just one of two things at the same distance, as where a ray meets an
    edge that two pieces share. */
-static uint32_t true_differences(const picture *p, const picture *q, uint32_t *ties) {
+static uint32_t true_differences(const scene_picture *p, const scene_picture *q, uint32_t *ties) {
     uint32_t i, n = 0;
     for (i = 0; i < p->m.width * p->m.height; i++) {
         if (memcmp(p->m.rgba8 + 4 * i, q->m.rgba8 + 4 * i, 4) == 0 && p->m.depth[i] == q->m.depth[i] &&
@@ -97,7 +97,7 @@ static uint32_t true_differences(const picture *p, const picture *q, uint32_t *t
     return n;
 }
 
-static voxrt_camera look(float ex, float ey, float ez, float at, float fov) {
+static voxrt_camera scene_look(float ex, float ey, float ez, float at, float fov) {
     voxrt_camera c;
     memset(&c, 0, sizeof c);
     c.eye[0] = ex;
@@ -150,17 +150,17 @@ TEST(pieces_in_a_group_are_the_whole) { /* voxels dealt out to trees whose boxes
     voxrt_group *group = NULL;
     voxrt_render_desc d;
     test_rng r = test_rng_make(1);
-    picture p = make_picture(160, 120), q = make_picture(160, 120);
+    scene_picture p = scene_make_picture(160, 120), q = scene_make_picture(160, 120);
     uint32_t i, k, view, ties = 0;
     size_t n;
     for (i = 0; i < N; i++)
         all[i] = any_voxel(&r, 32);
     for (i = 0; i < N; i++) all[i].rgb[0] = all[i].rgb[1] = all[i].rgb[2] = (uint8_t)(all[i].x * 5 + all[i].y * 2 + all[i].z);
-    whole = tree_of(all, N, 5, 0);
+    whole = scene_tree_of(all, N, 5, 0);
     for (k = 0; k < PIECES; k++) {
         for (i = 0, n = 0; i < N; i++)
             if ((all[i].x * 7 + all[i].y * 13 + all[i].z * 29) % PIECES == k) part[n++] = all[i];
-        piece[k] = tree_of(part, n, 5, 0);
+        piece[k] = scene_tree_of(part, n, 5, 0);
         voxrt_tree_geometry(piece[k], &g[k]);
     }
     REQUIRE(voxrt_group_create(NULL, g, PIECES, &group) == VOXRT_OK);
@@ -174,8 +174,8 @@ TEST(pieces_in_a_group_are_the_whole) { /* voxels dealt out to trees whose boxes
         memset(&d, 0, sizeof d);
         d.shadows = 1;
         d.samples = view == 1 ? 3 : 1;
-        d.camera = view == 0 ? look(60, 50, 80, 16, 30) : view == 1 ? look(-40, 16, 16, 16, 50) :
-                   view == 2 ? look(16, 16, 16.5f, 20, 90) : look(16, 300, 16.01f, 16, 9);
+        d.camera = view == 0 ? scene_look(60, 50, 80, 16, 30) : view == 1 ? scene_look(-40, 16, 16, 16, 50) :
+                   view == 2 ? scene_look(16, 16, 16.5f, 20, 90) : scene_look(16, 300, 16.01f, 16, 9);
         CHECK(voxrt_render(&d, whole, &p.m, NULL) == VOXRT_OK);
         d.geometry = &joined;
         d.geometry_count = 1;
@@ -190,8 +190,8 @@ TEST(pieces_in_a_group_are_the_whole) { /* voxels dealt out to trees whose boxes
     voxrt_group_destroy(group);
     voxrt_tree_destroy(whole);
     for (k = 0; k < PIECES; k++) voxrt_tree_destroy(piece[k]);
-    free_picture(&p);
-    free_picture(&q);
+    scene_free_picture(&p);
+    scene_free_picture(&q);
 }
 
 /* A small thing set down in all 48 orientations, some twice as large: one tree with all of its voxels shows the same. */
@@ -204,14 +204,14 @@ TEST(instances_are_the_tree_of_their_voxels) {
     voxrt_geometry g[COPIES], joined;
     voxrt_group *group = NULL;
     voxrt_render_desc d;
-    picture p = make_picture(200, 150), q = make_picture(200, 150);
+    scene_picture p = scene_make_picture(200, 150), q = scene_make_picture(200, 150);
     test_rng r = test_rng_make(2);
     uint32_t i, k, a, view;
     size_t n = 0;
     for (i = 0; i < 120; i++)
         thing[i] = any_voxel(&r, 8);
     for (i = 0; i < 120; i++) thing[i].rgb[1] = (uint8_t)(thing[i].x * 30); /* of cells given twice the mean is the same */
-    small = tree_of(thing, 120, 3, 0);
+    small = scene_tree_of(thing, 120, 3, 0);
     memset(instance, 0, sizeof instance);
     for (k = 0; k < COPIES; k++) {
         const double at[3] = {(double)(k % 4 * 2 + 1) * ROOM / 2 * 2 - ROOM / 2, (double)(k / 4 % 4 * 2 + 1) * ROOM - ROOM / 2,
@@ -242,15 +242,15 @@ TEST(instances_are_the_tree_of_their_voxels) {
             }
         }
     }
-    whole = tree_of(all, n, 7, 0);
+    whole = scene_tree_of(all, n, 7, 0);
     REQUIRE(voxrt_group_create(NULL, g, COPIES, &group) == VOXRT_OK);
     voxrt_group_geometry(group, &joined);
     for (view = 0; view < 4; view++) {
         memset(&d, 0, sizeof d);
         d.shadows = 1;
         d.view = view == 3 ? VOXRT_VIEW_NORMALS : VOXRT_VIEW_SHADED;
-        d.camera = view == 0 ? look(180, 150, 220, 50, 30) : view == 1 ? look(50, 51, 49, 100, 80) :
-                   look(-90, 20, 30, 50, 60);
+        d.camera = view == 0 ? scene_look(180, 150, 220, 50, 30) : view == 1 ? scene_look(50, 51, 49, 100, 80) :
+                   scene_look(-90, 20, 30, 50, 60);
         CHECK(voxrt_render(&d, whole, &p.m, NULL) == VOXRT_OK);
         d.geometry = view & 1 ? g : &joined;
         d.geometry_count = view & 1 ? COPIES : 1;
@@ -279,8 +279,8 @@ TEST(instances_are_the_tree_of_their_voxels) {
     voxrt_group_destroy(group);
     voxrt_tree_destroy(whole);
     voxrt_tree_destroy(small);
-    free_picture(&p);
-    free_picture(&q);
+    scene_free_picture(&p);
+    scene_free_picture(&q);
 }
 
 /* ---- against plain computations ---- */
@@ -376,7 +376,7 @@ TEST(instances_far_away) {
 }
 
 TEST(an_instance_is_its_ray_in_the_other_space) {
-    voxrt_tree *t = ball(4);
+    voxrt_tree *t = scene_ball(4);
     test_rng r = test_rng_make(3);
     uint32_t k, i, a, hits = 0;
     for (k = 0; k < 60; k++) {
@@ -471,8 +471,8 @@ TEST(a_group_is_a_loop_over_its_members) {
     uint32_t k, i, round, hits = 0;
     double asked = 0, all = 0;
     size_t m;
-    t[0] = ball(3);
-    t[1] = ball(4);
+    t[0] = scene_ball(3);
+    t[1] = scene_ball(4);
     for (k = 0; k < 7; k++) {
         voxrt_group *group = NULL;
         voxrt_geometry joined;
@@ -538,12 +538,12 @@ TEST(a_group_is_a_loop_over_its_members) {
 
 /* Groups in instances in groups: 5^4 balls from five of them. */
 TEST(groups_of_groups) {
-    voxrt_tree *t = ball(3);
+    voxrt_tree *t = scene_ball(3);
     voxrt_instance instance[4][5];
     voxrt_geometry g[5], joined;
     voxrt_group *group[4];
     voxrt_render_desc d;
-    picture p = make_picture(120, 100);
+    scene_picture p = scene_make_picture(120, 100);
     uint32_t level, k, i, hits = 0;
     memset(instance, 0, sizeof instance);
     voxrt_tree_geometry(t, &joined);
@@ -566,7 +566,7 @@ TEST(groups_of_groups) {
     CHECK_MSG(hits > 1000, "%u", hits);
     for (level = 0; level < 4; level++) voxrt_group_destroy(group[level]);
     voxrt_tree_destroy(t);
-    free_picture(&p);
+    scene_free_picture(&p);
 }
 
 /* Equal distances: the first of the list is seen, wherever the hierarchy puts it. */
@@ -582,7 +582,7 @@ TEST(the_first_of_equals_is_seen) {
         v[0].rgb[0] = (uint8_t)i;
         v[1] = any_voxel(&r, 8); /* different boxes */
         v[1].z = 0;
-        t[i] = tree_of(v, 2, 3, 0);
+        t[i] = scene_tree_of(v, 2, 3, 0);
     }
     for (round = 0; round < 20; round++) {
         voxrt_group *group = NULL;
@@ -608,7 +608,7 @@ TEST(the_first_of_equals_is_seen) {
 }
 
 TEST(bad_arguments) {
-    voxrt_tree *t = ball(3);
+    voxrt_tree *t = scene_ball(3);
     voxrt_geometry g[3], out;
     voxrt_group *group = (voxrt_group *)1;
     voxrt_instance s;
@@ -650,7 +650,7 @@ TEST(bad_arguments) {
 }
 
 TEST(no_memory) {
-    voxrt_tree *t = ball(3);
+    voxrt_tree *t = scene_ball(3);
     voxrt_geometry g[9];
     voxrt_group *group = NULL;
     test_alloc ta;

@@ -600,7 +600,7 @@ TEST(runs_of_one_origin) {
 
 /* ---- nothing slips through closed surfaces ---- */
 
-static double shape(int kind, double x, double y, double z) { /* negative inside; the cube [-1,1]^3 is the grid */
+static double trace_shape(int kind, double x, double y, double z) { /* negative inside; the cube [-1,1]^3 is the grid */
     double q = sqrt(x * x + y * y + z * z), p, a, b, c;
     switch (kind) {
     case 0: return q - 0.9;
@@ -629,12 +629,12 @@ static void scene_shell(scene *s, uint32_t depth, int kind) {
     snprintf(s->name, sizeof s->name, "shell %d depth %u", kind, depth);
     if (!oracle_grid_make(&s->g, lo, n)) exit(1);
     for (z = 0; z < s->size; z++) for (y = 0; y < s->size; y++) for (x = 0; x < s->size; x++) {
-        double c = shape(kind, (x + 0.5) * h - 1, (y + 0.5) * h - 1, (z + 0.5) * h - 1);
+        double c = trace_shape(kind, (x + 0.5) * h - 1, (y + 0.5) * h - 1, (z + 0.5) * h - 1);
         int differ = 0;
         if (fabs(c) > 12 * h) continue; /* no shape is steeper */
         for (i = 0; i < 6 && !differ; i++) {
             double f = i & 1 ? 1 : 0;
-            differ = (shape(kind, (x + (i / 2 == 0 ? f : 0.5)) * h - 1, (y + (i / 2 == 1 ? f : 0.5)) * h - 1,
+            differ = (trace_shape(kind, (x + (i / 2 == 0 ? f : 0.5)) * h - 1, (y + (i / 2 == 1 ? f : 0.5)) * h - 1,
                             (z + (i / 2 == 2 ? f : 0.5)) * h - 1) < 0) != (c < 0);
         }
         if (differ) oracle_set(&s->g, x, y, z);
@@ -661,7 +661,7 @@ TEST(closed_shells_do_not_leak) {
                 int a;
                 if (i % 64 != 0 && done / BATCH % 4 == 3) memcpy(q->org, q[-1].org, sizeof q->org); /* runs */
                 else do for (a = 0; a < 3; a++) q->org[a] = lattice(&r, 0, s.size, 0);
-                    while (!(shape(kind, (double)q->org[0] * h - 1, (double)q->org[1] * h - 1, (double)q->org[2] * h - 1) < (kind == 3 ? -10 : -1) * h));
+                    while (!(trace_shape(kind, (double)q->org[0] * h - 1, (double)q->org[1] * h - 1, (double)q->org[2] * h - 1) < (kind == 3 ? -10 : -1) * h));
                 q->t_min = 0.0f;
                 q->t_max = INFINITY;
                 if (done / BATCH % 4 == 0 || i % 4 == 3) for (a = 0; a < 3; a++) q->dir[a] = test_rng_range(&r, -1.0f, 1.0f);

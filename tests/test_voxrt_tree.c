@@ -13,7 +13,7 @@ static voxrt_build_desc defaults(void) {
     return d;
 }
 
-static voxrt_tree *make(const voxrt_build_desc *d, const cells *l, uint32_t depth) {
+static voxrt_tree *tree_make(const voxrt_build_desc *d, const cells *l, uint32_t depth) {
     voxrt_tree *t = NULL;
     voxrt_result r = voxrt_tree_from_voxels(d, l->v, l->n, depth, &t);
     CHECK_EQ_U64(r, VOXRT_OK);
@@ -117,7 +117,7 @@ TEST(random_voxels) {
                 hi[a] = c[a] + 1 > hi[a] ? c[a] + 1 : hi[a];
             }
         }
-        t = make(&d, &l, depth);
+        t = tree_make(&d, &l, depth);
         check_tree(t);
         voxrt_tree_get_info(t, &info);
         CHECK_EQ_U64(info.voxel_count, unique);
@@ -146,12 +146,12 @@ TEST(random_voxels) {
                 l.v[i - 1] = x;
             }
             d.env.thread_count = 3;
-            again = make(&d, &l, depth);
+            again = tree_make(&d, &l, depth);
             CHECK(voxrt_tree_hash(again) == h);
             voxrt_tree_destroy(again);
             l.v[0].rgb[1] ^= 255; /* and one colour does */
             if (n > 1) {
-                again = make(&d, &l, depth);
+                again = tree_make(&d, &l, depth);
                 CHECK(voxrt_tree_hash(again) != h);
                 voxrt_tree_destroy(again);
             }
@@ -170,7 +170,7 @@ TEST(each_can_stop) {
     uint32_t i;
     memset(&l, 0, sizeof l);
     for (i = 0; i < 100; i++) cells_add(&l, i % 16, i / 16, i % 7, 0);
-    t = make(&d, &l, 4);
+    t = tree_make(&d, &l, 4);
     voxrt_tree_get_info(t, &info);
     memset(&w, 0, sizeof w);
     w.t = t;
@@ -203,7 +203,7 @@ TEST(hash_sees_everything) {
         cells_normal(&l, k != 2, k == 2, 0);
         d.box_size = k == 4 ? 16 : 8;
         d.box_min[1] = k == 5;
-        t = make(&d, &l, 3);
+        t = tree_make(&d, &l, 3);
         h[k] = voxrt_tree_hash(t);
         for (i = 0; i < k; i++) CHECK_MSG(h[i] != h[k], "%d and %d", i, k);
         voxrt_tree_destroy(t);
@@ -266,7 +266,7 @@ TEST(from_voxels_arguments) {
 /* Dense flood from the border through faces; then layers from the surface inwards. */
 typedef struct dense { uint32_t n; uint8_t *wall, *out; uint16_t *layer; } dense;
 
-static size_t at(uint32_t n, uint32_t x, uint32_t y, uint32_t z) { return ((size_t)z * n + y) * n + x; }
+static size_t tree_at(uint32_t n, uint32_t x, uint32_t y, uint32_t z) { return ((size_t)z * n + y) * n + x; }
 
 static int neighbour(uint32_t n, size_t i, uint32_t face, size_t *k) { /* 0: beyond the border */
     uint32_t c[3], a = face / 2;
@@ -275,7 +275,7 @@ static int neighbour(uint32_t n, size_t i, uint32_t face, size_t *k) { /* 0: bey
     c[2] = (uint32_t)(i / n / n);
     if (face & 1 ? c[a] + 1 == n : c[a] == 0) return 0;
     c[a] += face & 1 ? 1u : 0xffffffffu;
-    *k = at(n, c[0], c[1], c[2]);
+    *k = tree_at(n, c[0], c[1], c[2]);
     return 1;
 }
 
@@ -353,7 +353,7 @@ static void check_fill(dense *g, uint32_t tree_depth, uint32_t depth_limit, cons
     d.fill = 1;
     d.fill_depth = depth_limit;
     d.palette_size = 1u << 24;
-    t = make(&d, &l, tree_depth);
+    t = tree_make(&d, &l, tree_depth);
     for (i = 0; t != NULL && i < total; i++) {
         voxrt_voxel v, w;
         uint32_t x = (uint32_t)(i % g->n), y = (uint32_t)(i / g->n % g->n), z = (uint32_t)(i / g->n / g->n), f;
@@ -394,7 +394,7 @@ static void shell(dense *g, uint32_t x0, uint32_t y0, uint32_t z0, uint32_t x1, 
     for (z = z0; z <= z1; z++)
         for (y = y0; y <= y1; y++)
             for (x = x0; x <= x1; x++)
-                if (x == x0 || x == x1 || y == y0 || y == y1 || z == z0 || z == z1) g->wall[at(g->n, x, y, z)] = 1;
+                if (x == x0 || x == x1 || y == y0 || y == y1 || z == z0 || z == z1) g->wall[tree_at(g->n, x, y, z)] = 1;
 }
 
 TEST(fill_boxes) {
@@ -408,11 +408,11 @@ TEST(fill_boxes) {
         check_fill(&g, depth, 0, "box on the border", inner);
         for (limit = 1; limit < 4; limit++) check_fill(&g, depth, limit, "box, layers", (size_t)-1);
         if (n > 2) { /* a hole of one voxel */
-            g.wall[at(n, e, n / 2, n / 2)] = 0;
+            g.wall[tree_at(n, e, n / 2, n / 2)] = 0;
             check_fill(&g, depth, 0, "box with a hole", 0);
-            g.wall[at(n, e, n / 2, n / 2)] = 1;
-            g.wall[at(n, 0, 0, 0)] = g.wall[at(n, e, e, e)] = g.wall[at(n, 0, e, 0)] = 0; /* corners and an edge: tight */
-            g.wall[at(n, n / 2, 0, 0)] = 0;
+            g.wall[tree_at(n, e, n / 2, n / 2)] = 1;
+            g.wall[tree_at(n, 0, 0, 0)] = g.wall[tree_at(n, e, e, e)] = g.wall[tree_at(n, 0, e, 0)] = 0; /* corners and an edge: tight */
+            g.wall[tree_at(n, n / 2, 0, 0)] = 0;
             check_fill(&g, depth, 0, "box without corners", inner);
         }
         dense_free(&g);
@@ -428,12 +428,12 @@ TEST(fill_nested_and_touching) {
     check_fill(&g, 6, 2, "nested, two layers", (size_t)-1);
     for (x = 3; x <= 60; x++)
         for (y = 5; y <= 50; y++)
-            if (x > 3 && x < 60 && y > 5 && y < 50) g.wall[at(64, x, y, 2)] = 0; /* open below: the inner one is closed */
+            if (x > 3 && x < 60 && y > 5 && y < 50) g.wall[tree_at(64, x, y, 2)] = 0; /* open below: the inner one is closed */
     check_fill(&g, 6, 0, "nested, outer one open", (size_t)29 * 31 * 41);
     dense_free(&g);
 }
 
-static void ball(dense *g, double cx, double cy, double cz, double ring, double r) { /* cells that the surface passes */
+static void tree_ball(dense *g, double cx, double cy, double cz, double ring, double r) { /* cells that the surface passes */
     uint32_t x, y, z, n = g->n, f;
     uint8_t *in = (uint8_t *)calloc((size_t)n * n * n, 1);
     size_t i, k;
@@ -442,7 +442,7 @@ static void ball(dense *g, double cx, double cy, double cz, double ring, double 
         for (y = 0; y < n; y++)
             for (x = 0; x < n; x++) {
                 double px = x - cx, py = y - cy, pz = z - cz, q = sqrt(px * px + py * py) - ring;
-                in[at(n, x, y, z)] = ring > 0 ? sqrt(q * q + pz * pz) < r : sqrt(px * px + py * py + pz * pz) < r;
+                in[tree_at(n, x, y, z)] = ring > 0 ? sqrt(q * q + pz * pz) < r : sqrt(px * px + py * py + pz * pz) < r;
             }
     for (i = 0; i < (size_t)n * n * n; i++)
         for (f = 0; in[i] && f < 6; f++)
@@ -452,15 +452,15 @@ static void ball(dense *g, double cx, double cy, double cz, double ring, double 
 
 TEST(fill_round_hulls) {
     dense g = dense_make(64);
-    ball(&g, 31.2, 30.7, 32.4, 0, 28.3);
+    tree_ball(&g, 31.2, 30.7, 32.4, 0, 28.3);
     check_fill(&g, 6, 0, "ball", (size_t)-1);
     check_fill(&g, 6, 5, "ball, five layers", (size_t)-1);
-    ball(&g, 31.2, 30.7, 32.4, 0, 15.5);
-    ball(&g, 31.2, 30.7, 32.4, 0, 6.5);
+    tree_ball(&g, 31.2, 30.7, 32.4, 0, 15.5);
+    tree_ball(&g, 31.2, 30.7, 32.4, 0, 6.5);
     check_fill(&g, 6, 0, "nested balls", (size_t)-1);
     dense_free(&g);
     g = dense_make(72);
-    ball(&g, 35.2, 34.7, 36.4, 22.5, 10.2);
+    tree_ball(&g, 35.2, 34.7, 36.4, 22.5, 10.2);
     check_fill(&g, 7, 0, "torus", (size_t)-1);
     { /* one voxel less: it all runs out */
         size_t i;
@@ -611,7 +611,7 @@ TEST(fill_meshes) {
             if (g.wall[i]) cells_add(&l, 509 + (uint32_t)(i % 8), 1016 + (uint32_t)(i / 8 % 8), (uint32_t)(i / 64), 0);
         d = defaults();
         d.fill = 1;
-        t = make(&d, &l, 10);
+        t = tree_make(&d, &l, 10);
         (void)voxrt_tree_each(t, 10, count_cell, &n);
         CHECK_EQ_U64(n, 512);
         voxrt_tree_destroy(t);
@@ -623,7 +623,7 @@ TEST(fill_meshes) {
 
 /* ---- level of detail ------------------------------------------------------------------------------------------------- */
 
-static double to_linear(uint32_t byte) {
+static double tree_to_linear(uint32_t byte) {
     double c = byte / 255.0;
     return c <= 0.04045 ? c / 12.92 : pow((c + 0.055) / 1.055, 2.4);
 }
@@ -645,7 +645,7 @@ TEST(lod_mean) { /* weighted by leaves, in linear light; leaves of depth 3 */
     cells_normal(&l, 0, 1, 0);
     cells_add(&l, 7, 7, 7, 0x00ff00); /* far off a green one, its normal cancels the blue one's */
     cells_normal(&l, 0, -1, 0);
-    t = make(&d, &l, 3);
+    t = tree_make(&d, &l, 3);
     check_tree(t);
     REQUIRE(t != NULL);
     CHECK(voxrt_tree_get(t, 2, 0, 0, 0, &v) && pack(&v) == 0x0000ff);
@@ -679,13 +679,13 @@ TEST(lod_mean_random) {
         if (used == NULL) abort();
         for (i = 0; i < n; i++) {
             uint32_t x = test_rng_below(&rng, side), y = test_rng_below(&rng, 1 + side / 4), z = test_rng_below(&rng, 1 + side / 8);
-            if (used[at(side, x, y, z)]) continue;
-            used[at(side, x, y, z)] = 1;
+            if (used[tree_at(side, x, y, z)]) continue;
+            used[tree_at(side, x, y, z)] = 1;
             cells_add(&l, x, y, z, test_rng_u32(&rng) & 0xffffffu);
             cells_normal(&l, test_rng_double(&rng) - 0.3, test_rng_double(&rng) - 0.3, test_rng_double(&rng) - 0.3);
         }
         d.palette_size = 1u << 24;
-        t = make(&d, &l, depth);
+        t = tree_make(&d, &l, depth);
         check_tree(t);
         for (level = 0; t != NULL && level < depth; level++) {
             uint32_t q, shift = depth - level;
@@ -699,7 +699,7 @@ TEST(lod_mean_random) {
                     if (e->x >> shift != x || e->y >> shift != y || e->z >> shift != z) continue;
                     for (a = 0; a < 3; a++) s += (double)e->normal[a] * (double)e->normal[a];
                     for (a = 0; a < 3; a++) {
-                        rgb[a] += to_linear(e->rgb[a]);
+                        rgb[a] += tree_to_linear(e->rgb[a]);
                         normal[a] += (double)e->normal[a] / sqrt(s);
                     }
                     count++;
@@ -741,7 +741,7 @@ TEST(lod_majority) {
     cells_add(&l, 6, 0, 0, 0xaaaaaa);
     for (i = 0; i < 8; i++) cells_add(&l, 4 + (i & 1), 2 + (i >> 1 & 1), i >> 2, 0xcccccc);
     for (i = 0; i < 8; i++) cells_add(&l, 6 + (i & 1), 2 + (i >> 1 & 1), i >> 2, 0xcccccc);
-    t = make(&d, &l, 3);
+    t = tree_make(&d, &l, 3);
     check_tree(t);
     REQUIRE(t != NULL);
     palette = voxrt_tree_palette(t, &count);
@@ -772,7 +772,7 @@ TEST(lod_opposite_normals) { /* they cancel: one of them, never zero or NaN; twe
                 cells_add(&l, i & 1 ? side - 1 : 0, i & 2 ? side - 1 : 0, i & 4 ? side - 1 : 0, i * 0x202020u);
                 cells_normal(&l, i / 2 == 0 ? (i & 1 ? 1 : -1) : 0, i / 2 == 1 ? (i & 1 ? 1 : -1) : 0, i / 2 == 2 ? (i & 1 ? 1 : -1) : 0);
             }
-            t = make(&d, &l, depth);
+            t = tree_make(&d, &l, depth);
             check_tree(t); /* checks the length of all normals */
             for (level = 0; t != NULL && level <= depth; level++) {
                 voxrt_voxel v;
@@ -797,7 +797,7 @@ TEST(same_voxel_twice) { /* the means are kept */
     cells_normal(&l, 0, 0, 2);
     cells_add(&l, 5, 6, 7, 0xff0000);
     cells_normal(&l, 0, 1, 0);
-    t = make(&d, &l, 3);
+    t = tree_make(&d, &l, 3);
     REQUIRE(t != NULL);
     CHECK(voxrt_tree_get(t, 3, 5, 6, 7, &v));
     CHECK_MSG(pack(&v) == 0xbc00bc, "%06x", pack(&v));
@@ -826,7 +826,7 @@ TEST(same_voxel_twice_with_any_normals) {
         }
         cells_add(&l, 5, 6, 7, 0);
         cells_normal(&l, (double)NAN, 1, 0); /* no direction */
-        t = make(&d, &l, 3);
+        t = tree_make(&d, &l, 3);
         REQUIRE(t != NULL);
         CHECK(voxrt_tree_get(t, 3, 5, 6, 7, &v));
         CHECK_MSG(fabsf(v.normal[0] - 0.7f) < 0.02f && fabsf(v.normal[1] - 0.14f) < 0.02f && fabsf(v.normal[2] + 0.7f) < 0.02f,
@@ -854,7 +854,7 @@ TEST(palettes) {
                 cells_add(&l, i & 63, i >> 6 & 63, i >> 12, ((i % n) * 2654435761u) >> 8 & 0xffffffu);
             if (n == 40000) d.palette_size = 1u << 24;
             d.lod_method = (voxrt_lod_method)method;
-            t = make(&d, &l, 6);
+            t = tree_make(&d, &l, 6);
             check_tree(t);
             REQUIRE(t != NULL);
             for (i = 0; i < total; i++) {
@@ -889,7 +889,7 @@ TEST(few_colours_for_many) {
             for (i = 0; i < 4096; i++) cells_add(&l, i & 15, i >> 4 & 15, i >> 8, i & 1 ? 0xff - (i >> 7) : 0xff0000 - (i >> 7 << 16));
             d.palette_size = sizes[k];
             d.lod_method = (voxrt_lod_method)method;
-            t = make(&d, &l, 4);
+            t = tree_make(&d, &l, 4);
             check_tree(t);
             REQUIRE(t != NULL);
             (void)voxrt_tree_palette(t, &count);
@@ -1180,7 +1180,7 @@ TEST(many_nodes) {
             d.env.parallel.for_fn = count_for;
             d.env.parallel.user = &calls;
         }
-        t = make(&d, &l, 8);
+        t = tree_make(&d, &l, 8);
         if (k < 2) {
             check_tree(t);
             hash[k] = voxrt_tree_hash(t);

@@ -1202,7 +1202,7 @@ TEST(rows_and_heaps_in_one_update) {
     uint32_t i, rounds = 0;
     int order;
     if (node == NULL) abort();
-    for (order = 0; order < ORDERS; order++) {
+    for (order = test_quick(); order < ORDERS; order += test_quick() ? 2 : 1) {
         test_rng r = test_rng_make(30 + (uint64_t)order);
         zbufrand_scene *s = open_counting(&rounds, NULL);
         zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN), list, empty, melted;
@@ -1323,7 +1323,7 @@ TEST(rows_and_heaps_one_by_one) {
     uint32_t i, k, rounds = 0, depth;
     double cost, fresh;
     int order;
-    for (order = 0; order < ORDERS; order++) {
+    for (order = 0; order < ORDERS; order += test_quick() ? 2 : 1) {
         zbufrand_scene *s = open_counting(&rounds, NULL), *anew = open_scene(1, NULL);
         zbufrand_node target = add_triangle(s, ZBUFRAND_ROOT, ZBUFRAND_HIDDEN);
         zbufrand_transform t;

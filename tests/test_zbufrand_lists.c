@@ -884,16 +884,16 @@ static int compare_u64(const void *a, const void *b) {
     return x < y ? -1 : x > y;
 }
 
-typedef struct looking {
+typedef struct lists_looking {
     const zbufrand_scene *scene;
     const zbufrandi_camera *camera;
     const keys *drawn;
     uint32_t visible, lost;
-} looking;
+} lists_looking;
 
 /* Is what is seen of this triangle in the cut? Corners and the middle are looked at. */
 static void look(void *user, const zbufrandi_structure *s, uint32_t item, const double m[3][4]) {
-    looking *o = (looking *)user;
+    lists_looking *o = (lists_looking *)user;
     const zbufrandi_cluster *c = &s->cluster[item >> 7];
     const uint8_t *tri = s->triangle + 3 * ((size_t)c->first_triangle + (item & 127));
     const float *p[3];
@@ -945,7 +945,7 @@ TEST(covers_everything_once) {
             zbufrandi_camera camera;
             zbufrand_stats st;
             size_t count;
-            looking o;
+            lists_looking o;
             double ratio;
             memset(&d, 0, sizeof d);
             random_camera(&r, &d.camera, c % 3 == 0 ? 0.7 : c % 3 == 1 ? 3 : 60);

@@ -7,21 +7,21 @@
 
 /* ---- scenes and what they mean, written down a second time ---- */
 
-typedef struct shape {
+typedef struct rays_shape {
     float *p;
     uint32_t *index;
     uint32_t vertices, triangles, two_sided;
-} shape;
+} rays_shape;
 
-typedef struct placed { const shape *s; double m[3][4]; } placed; /* a mesh as it is drawn */
+typedef struct placed { const rays_shape *s; double m[3][4]; } placed; /* a mesh as it is drawn */
 
-typedef struct world {
+typedef struct rays_world {
     zbufrand_scene *scene;
     placed *list;
     uint32_t count, room;
-} world;
+} rays_world;
 
-static void shape_alloc(shape *s, uint32_t vertices, uint32_t triangles) {
+static void shape_alloc(rays_shape *s, uint32_t vertices, uint32_t triangles) {
     s->p = (float *)malloc(3 * sizeof(float) * vertices);
     s->index = (uint32_t *)malloc(3 * sizeof(uint32_t) * triangles);
     if (s->p == NULL || s->index == NULL) abort();
@@ -29,10 +29,10 @@ static void shape_alloc(shape *s, uint32_t vertices, uint32_t triangles) {
     s->triangles = triangles;
     s->two_sided = 0;
 }
-static void shape_free(shape *s) { free(s->p); free(s->index); }
+static void rays_shape_free(rays_shape *s) { free(s->p); free(s->index); }
 
 /* Closed: poles are single vertices. */
-static void shape_sphere(shape *s, test_rng *g, uint32_t nu, uint32_t nv, double radius, double bumps) {
+static void rays_shape_sphere(rays_shape *s, test_rng *g, uint32_t nu, uint32_t nv, double radius, double bumps) {
     uint32_t i, j, n = 0, t = 0, k;
     shape_alloc(s, nu * (nv - 1) + 2, 2 * nu * (nv - 1));
     for (j = 0; j <= nv; j++) {
@@ -57,7 +57,7 @@ static void shape_sphere(shape *s, test_rng *g, uint32_t nu, uint32_t nv, double
     CHECK_EQ_U64(n, s->vertices);
 }
 
-static void shape_soup(shape *s, test_rng *g, uint32_t n, double size) {
+static void shape_soup(rays_shape *s, test_rng *g, uint32_t n, double size) {
     uint32_t i, k;
     shape_alloc(s, 3 * n, n);
     for (i = 0; i < n; i++) {
@@ -68,15 +68,15 @@ static void shape_soup(shape *s, test_rng *g, uint32_t n, double size) {
     for (i = 0; i < 3 * n; i++) s->index[i] = i;
 }
 
-static void world_open(world *w) {
+static void world_open(rays_world *w) {
     memset(w, 0, sizeof *w);
     if (zbufrand_scene_create(NULL, &w->scene) != ZBUFRAND_OK) abort();
 }
-static void world_close(world *w) {
+static void world_close(rays_world *w) {
     zbufrand_scene_destroy(w->scene);
     free(w->list);
 }
-static void world_place(world *w, const shape *s, const double m[3][4]) {
+static void world_place(rays_world *w, const rays_shape *s, const double m[3][4]) {
     if (w->count == w->room) {
         w->room = 2 * w->room + 16;
         w->list = (placed *)realloc(w->list, w->room * sizeof *w->list);
@@ -86,7 +86,7 @@ static void world_place(world *w, const shape *s, const double m[3][4]) {
     memcpy(w->list[w->count++].m, m, 12 * sizeof(double));
 }
 
-static zbufrand_node world_mesh(world *w, zbufrand_node parent, const zbufrand_transform *t, uint32_t flags, const shape *s) {
+static zbufrand_node world_mesh(rays_world *w, zbufrand_node parent, const zbufrand_transform *t, uint32_t flags, const rays_shape *s) {
     zbufrand_mesh m;
     zbufrand_node n = 0;
     memset(&m, 0, sizeof m);
@@ -131,7 +131,7 @@ typedef struct truth {
     int unsure;     /* the ray passes close to an edge in front of it */
 } truth;
 
-static truth brute(const world *w, const double o[3], const double d[3], double t_min, double t_max) {
+static truth brute(const rays_world *w, const double o[3], const double d[3], double t_min, double t_max) {
     truth r;
     uint32_t k, i, a, c;
     r.t = r.second = (double)INFINITY;
@@ -186,7 +186,7 @@ static int same_hit(const zbufrandi_ray_hit *a, const zbufrandi_ray_hit *b) {
 }
 
 /* Corners of a hit in world coordinates. */
-static void hit_point(const world *w, const zbufrandi_rays *r, const zbufrandi_ray_hit *h, double x[3]) {
+static void hit_point(const rays_world *w, const zbufrandi_rays *r, const zbufrandi_ray_hit *h, double x[3]) {
     const zbufrandi_structure *s = &r->structure[h->structure];
     const zbufrandi_cluster *c = &s->cluster[h->cluster];
     double m[3][4], p[3] = {0, 0, 0};
@@ -200,13 +200,13 @@ static void hit_point(const world *w, const zbufrandi_rays *r, const zbufrandi_r
     for (a = 0; a < 3; a++) x[a] = m[a][0] * p[0] + m[a][1] * p[1] + m[a][2] * p[2] + m[a][3] + w->scene->structure[0].origin[a];
 }
 
-static void rays_open(world *w, zbufrandi_rays *r, int level) {
+static void rays_open(rays_world *w, zbufrandi_rays *r, int level) {
     zbufrand_scene *s = w->scene;
     CHECK(zbufrandi_rays_begin(r, &s->mem, &s->env, s->structure, s->structure_count, level));
 }
-static void rays_close(world *w, zbufrandi_rays *r) { zbufrandi_rays_end(r, &w->scene->mem); }
+static void rays_close(rays_world *w, zbufrandi_rays *r) { zbufrandi_rays_end(r, &w->scene->mem); }
 
-static int cast(const world *w, const zbufrandi_rays *r, const double o[3], const double d[3], double t_min, double t_max, zbufrandi_ray_hit *h) {
+static int cast(const rays_world *w, const zbufrandi_rays *r, const double o[3], const double d[3], double t_min, double t_max, zbufrandi_ray_hit *h) {
     zbufrandi_ray ray;
     int a;
     for (a = 0; a < 3; a++) { ray.o[a] = o[a] - w->scene->structure[0].origin[a]; ray.d[a] = d[a]; }
@@ -215,7 +215,7 @@ static int cast(const world *w, const zbufrandi_rays *r, const double o[3], cons
     return zbufrandi_ray_cast(r, &ray, h, NULL, 0);
 }
 
-static void check_rays(const world *w, const zbufrandi_rays *r, test_rng *g, int n, double radius, double tolerance) {
+static void check_rays(const rays_world *w, const zbufrandi_rays *r, test_rng *g, int n, double radius, double tolerance) {
     int k, a, unsure = 0, hits = 0;
     for (k = 0; k < n; k++) {
         double o[3], d[3], x[3], t_min = k % 5 == 0 ? test_rng_double(g) : 0, t_max = k % 7 == 0 ? radius * test_rng_double(g) : (double)INFINITY, len = 0;
@@ -248,13 +248,13 @@ TEST(one_mesh) {
     int level, n;
     for (level = 1; level <= 3; level += 2) {
         for (n = 0; n < 6; n++) {
-            world w;
-            shape s;
+            rays_world w;
+            rays_shape s;
             zbufrandi_rays r;
             zbufrand_transform t = identity();
             world_open(&w);
             if (n % 2 == 0) shape_soup(&s, &g, n == 0 ? 1 : 30 * (uint32_t)n * (uint32_t)n, n == 0 ? 1.0 : 0.2);
-            else shape_sphere(&s, &g, 6 * (uint32_t)n, 4 * (uint32_t)n, 1.0, 0.2);
+            else rays_shape_sphere(&s, &g, 6 * (uint32_t)n, 4 * (uint32_t)n, 1.0, 0.2);
             s.two_sided = (uint32_t)(n >> 1 & 1);
             (void)world_mesh(&w, ZBUFRAND_ROOT, NULL, 0, &s);
             world_place(&w, &s, ZBUFRANDI_M34(t.m));
@@ -263,13 +263,13 @@ TEST(one_mesh) {
             check_rays(&w, &r, &g, test_quick() ? 100 : 600, n == 0 ? 1.2 : 2.0, 2e-6);
             rays_close(&w, &r);
             world_close(&w);
-            shape_free(&s);
+            rays_shape_free(&s);
         }
     }
 }
 
 /* Two levels of instances, mirrored, scaled from 0.001 to 1000, beside meshes of the root; compared with the flat list. */
-static void build_forest(world *w, test_rng *g, shape s[3], int n) {
+static void build_forest(rays_world *w, test_rng *g, rays_shape s[3], int n) {
     zbufrand_node tree, leaf, grove, mesh;
     zbufrand_transform to_grove[4], to_world[4];
     double both[3][4];
@@ -277,8 +277,8 @@ static void build_forest(world *w, test_rng *g, shape s[3], int n) {
     int i, j;
     world_open(w);
     shape_soup(&s[0], g, 40, 0.3);
-    shape_sphere(&s[1], g, 8, 6, 1.0, 0.3);
-    shape_sphere(&s[2], g, 16, 12, 1.5, 0.1);
+    rays_shape_sphere(&s[1], g, 8, 6, 1.0, 0.3);
+    rays_shape_sphere(&s[2], g, 16, 12, 1.5, 0.1);
     s[0].two_sided = 1;
     CHECK_EQ_U64(zbufrand_add_list(w->scene, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &tree), ZBUFRAND_OK);
     (void)world_mesh(w, tree, NULL, 0, &s[0]);
@@ -308,8 +308,8 @@ TEST(instances) {
     int level, n, i;
     for (level = 1; level <= 3; level += 2) {
         for (n = 0; n < 6; n++) {
-            world w;
-            shape s[3];
+            rays_world w;
+            rays_shape s[3];
             zbufrandi_rays r;
             build_forest(&w, &g, s, n);
             if (n % 3 != 1) world_place(&w, &s[2], ZBUFRANDI_M34(w.scene->graph[w.scene->graph_count - 1].m));
@@ -319,7 +319,7 @@ TEST(instances) {
             check_rays(&w, &r, &g, test_quick() ? 60 : 400, n % 3 == 2 ? 5.0 : 5.0, 3e-6);
             rays_close(&w, &r);
             world_close(&w);
-            for (i = 0; i < 3; i++) shape_free(&s[i]);
+            for (i = 0; i < 3; i++) rays_shape_free(&s[i]);
         }
     }
 }
@@ -330,14 +330,14 @@ TEST(no_gaps) {
     int level, n;
     for (level = 1; level <= 3; level += 2) {
         for (n = 0; n < 8; n++) {
-            world w;
-            shape s;
+            rays_world w;
+            rays_shape s;
             zbufrandi_rays r;
             zbufrand_transform t;
             zbufrand_node proto;
             uint32_t i, k, a, missed = 0, wrong = 0, many = test_quick() ? 1500 : 12000;
             world_open(&w);
-            shape_sphere(&s, &g, 40, 30, 1.0, n & 1 ? 0.05 : 0.0);
+            rays_shape_sphere(&s, &g, 40, 30, 1.0, n & 1 ? 0.05 : 0.0);
             s.two_sided = 1;
             random_similarity(&g, n & 2 ? 1000.0 : 1.0, n & 4 ? 1e5 : 0.0, n & 1, &t);
             proto = world_mesh(&w, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &s);
@@ -372,7 +372,7 @@ TEST(no_gaps) {
             CHECK_MSG(wrong == 0, "case %d: %u of %u rays hit elsewhere", n, wrong, many);
             rays_close(&w, &r);
             world_close(&w);
-            shape_free(&s);
+            rays_shape_free(&s);
         }
     }
 }
@@ -382,8 +382,8 @@ TEST(along_axes) {
     int level, axis, sign, i, j;
     for (level = 1; level <= 3; level += 2) {
         for (axis = 0; axis < 3; axis++) {
-            world w;
-            shape s;
+            rays_world w;
+            rays_shape s;
             zbufrandi_rays r;
             uint32_t n = 0, t = 0, k;
             world_open(&w);
@@ -427,7 +427,7 @@ TEST(along_axes) {
             }
             rays_close(&w, &r);
             world_close(&w);
-            shape_free(&s);
+            rays_shape_free(&s);
         }
     }
 }
@@ -439,14 +439,14 @@ TEST(far_away) {
     int level, n, k, a;
     for (level = 1; level <= 3; level += 2) {
         for (n = 0; n < 8; n++) {
-            world w;
-            shape s;
+            rays_world w;
+            rays_shape s;
             zbufrandi_rays r;
             zbufrand_transform t = identity();
             zbufrand_node proto;
             int missed = 0, many = test_quick() ? 300 : 2000;
             world_open(&w);
-            shape_sphere(&s, &g, 64, 48, 1.0, 0.0);
+            rays_shape_sphere(&s, &g, 64, 48, 1.0, 0.0);
             for (a = 0; a < 3; a++) t.m[a][3] = n & 4 ? 1e6 * (a + 1) : 0;
             proto = world_mesh(&w, ZBUFRAND_ROOT, n & 4 ? NULL : &t, n & 4 ? ZBUFRAND_HIDDEN : 0, &s);
             if (n & 4) CHECK_EQ_U64(zbufrand_add_reference(w.scene, ZBUFRAND_ROOT, &t, proto, NULL), ZBUFRAND_OK);
@@ -469,7 +469,7 @@ TEST(far_away) {
             CHECK_EQ_U64(missed, 0);
             rays_close(&w, &r);
             world_close(&w);
-            shape_free(&s);
+            rays_shape_free(&s);
         }
     }
 }
@@ -478,8 +478,8 @@ TEST(far_away) {
 TEST(large_structure) {
     int level, k, a;
     for (level = 1; level <= 3; level += 2) {
-        world w;
-        shape s;
+        rays_world w;
+        rays_shape s;
         zbufrandi_rays r;
         test_rng g = test_rng_make(12);
         world_open(&w);
@@ -507,7 +507,7 @@ TEST(large_structure) {
         }
         rays_close(&w, &r);
         world_close(&w);
-        shape_free(&s);
+        rays_shape_free(&s);
     }
 }
 
@@ -515,15 +515,15 @@ TEST(many_levels) {
     test_rng g = test_rng_make(5);
     int level, n, k, a;
     for (level = 1; level <= 3; level += 2) {
-        world w;
-        shape s;
+        rays_world w;
+        rays_shape s;
         zbufrandi_rays r;
         zbufrand_node inner;
         zbufrandi_ray_hit h;
         double total[3][4], o[3], d[3], x[3];
         zbufrand_transform id = identity();
         world_open(&w);
-        shape_sphere(&s, &g, 12, 9, 1.0, 0.0);
+        rays_shape_sphere(&s, &g, 12, 9, 1.0, 0.0);
         inner = world_mesh(&w, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &s);
         memcpy(total, id.m, sizeof total);
         for (n = 0; n < 63; n++) {
@@ -554,7 +554,7 @@ TEST(many_levels) {
         }
         rays_close(&w, &r);
         world_close(&w);
-        shape_free(&s);
+        rays_shape_free(&s);
     }
 }
 
@@ -574,13 +574,13 @@ static void *cast_deep(void *arg) {
 TEST(deep_packets) {
     enum { STACK = 1 << 21 };
     test_rng g = test_rng_make(15);
-    world w;
-    shape s;
+    rays_world w;
+    rays_shape s;
     zbufrand_node inner;
     uint32_t n, a;
     static deep k;
     world_open(&w);
-    shape_sphere(&s, &g, 12, 9, 1.0, 0.0);
+    rays_shape_sphere(&s, &g, 12, 9, 1.0, 0.0);
     inner = world_mesh(&w, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &s);
     for (n = 0; n < 64; n++) {
         zbufrand_node list;
@@ -624,7 +624,7 @@ TEST(deep_packets) {
     }
     rays_close(&w, &k.r);
     world_close(&w);
-    shape_free(&s);
+    rays_shape_free(&s);
 }
 
 /* Scalar and AVX2 give the same bits, whatever the ray. */
@@ -632,8 +632,8 @@ TEST(same_bits) {
     test_rng g = test_rng_make(6);
     int n, k, a, i, many = test_quick() ? 500 : 6000;
     for (n = 0; n < 3; n++) {
-        world w;
-        shape s[3];
+        rays_world w;
+        rays_shape s[3];
         zbufrandi_rays r1, r3;
         uint64_t hits = 0;
         build_forest(&w, &g, s, n);
@@ -664,7 +664,7 @@ TEST(same_bits) {
         rays_close(&w, &r1);
         rays_close(&w, &r3);
         world_close(&w);
-        for (i = 0; i < 3; i++) shape_free(&s[i]);
+        for (i = 0; i < 3; i++) rays_shape_free(&s[i]);
     }
 }
 
@@ -673,8 +673,8 @@ TEST(many_at_once) {
     test_rng g = test_rng_make(10);
     int n, k, a, i, rounds = test_quick() ? 30 : 300;
     for (n = 0; n < 6; n++) {
-        world w;
-        shape s[3];
+        rays_world w;
+        rays_shape s[3];
         zbufrandi_rays r;
         uint64_t hits = 0, wrong = 0;
         build_forest(&w, &g, s, n);
@@ -709,7 +709,7 @@ TEST(many_at_once) {
         CHECK(hits > (uint64_t)rounds);
         rays_close(&w, &r);
         world_close(&w);
-        for (i = 0; i < 3; i++) shape_free(&s[i]);
+        for (i = 0; i < 3; i++) rays_shape_free(&s[i]);
     }
 }
 
@@ -718,8 +718,8 @@ TEST(odd_rays) {
     int level, k;
     for (level = 1; level <= 3; level += 2) {
         static const double bad[] = {(double)NAN, (double)INFINITY, -(double)INFINITY, 1e300};
-        world w;
-        shape s;
+        rays_world w;
+        rays_shape s;
         zbufrandi_rays r;
         zbufrandi_ray_hit h;
         double o[3] = {0, 0, -3}, d[3] = {0, 0, 1};
@@ -731,7 +731,7 @@ TEST(odd_rays) {
         rays_open(&w, &r, level);
         if (w.scene->structure_count != 0) CHECK(!cast(&w, &r, o, d, 0, (double)INFINITY, &h));
         rays_close(&w, &r);
-        shape_sphere(&s, &g, 20, 15, 1.0, 0.0);
+        rays_shape_sphere(&s, &g, 20, 15, 1.0, 0.0);
         (void)world_mesh(&w, ZBUFRAND_ROOT, NULL, 0, &s);
         CHECK_EQ_U64(zbufrand_scene_build(w.scene, NULL, NULL), ZBUFRAND_OK);
         rays_open(&w, &r, level);
@@ -758,17 +758,17 @@ TEST(odd_rays) {
         CHECK(!cast(&w, &r, o, d, 0, (double)INFINITY, &h));
         rays_close(&w, &r);
         world_close(&w);
-        shape_free(&s);
+        rays_shape_free(&s);
     }
 }
 
 TEST(no_memory) {
     test_rng g = test_rng_make(8);
-    shape s;
-    world w;
+    rays_shape s;
+    rays_world w;
     int n;
     world_open(&w);
-    shape_sphere(&s, &g, 20, 15, 1.0, 0.0);
+    rays_shape_sphere(&s, &g, 20, 15, 1.0, 0.0);
     (void)world_mesh(&w, ZBUFRAND_ROOT, NULL, 0, &s);
     CHECK_EQ_U64(zbufrand_scene_build(w.scene, NULL, NULL), ZBUFRAND_OK);
     for (n = 0; n < 3; n++) {
@@ -786,15 +786,15 @@ TEST(no_memory) {
         test_alloc_check(&ta);
     }
     world_close(&w);
-    shape_free(&s);
+    rays_shape_free(&s);
 }
 
 /* The rasteriser and a ray through the centre of each pixel see the same triangles, but for pixels whose centre lies
    within a rounding of an edge. */
 TEST(same_as_raster) {
     test_rng g = test_rng_make(9);
-    world w;
-    shape s;
+    rays_world w;
+    rays_shape s;
     zbufrandi_rays r;
     zbufrandi_camera camera;
     zbufrandi_keys keys;
@@ -804,7 +804,7 @@ TEST(same_as_raster) {
     uint32_t i, j, k, c, differ = 0, seen = 0;
     double worst = 0;
     world_open(&w);
-    shape_sphere(&s, &g, 120, 90, 1.0, 0.02);
+    rays_shape_sphere(&s, &g, 120, 90, 1.0, 0.02);
     (void)world_mesh(&w, ZBUFRAND_ROOT, NULL, 0, &s);
     CHECK_EQ_U64(zbufrand_scene_build(w.scene, NULL, NULL), ZBUFRAND_OK);
     rays_open(&w, &r, 0);
@@ -847,7 +847,7 @@ TEST(same_as_raster) {
     free(keys.key);
     rays_close(&w, &r);
     world_close(&w);
-    shape_free(&s);
+    rays_shape_free(&s);
 }
 
 /* The ray through the centre of pixel (x, y); t is the depth. */
@@ -866,8 +866,8 @@ static void ray_pixel(const zbufrandi_rays *r, const zbufrandi_camera *c, uint32
    instances and clusters than are kept at once. */
 TEST(zbuffer) {
     test_rng g = test_rng_make(11);
-    world w;
-    shape s[2];
+    rays_world w;
+    rays_shape s[2];
     zbufrandi_rays r;
     zbufrandi_camera camera;
     zbufrandi_keys keys;
@@ -877,8 +877,8 @@ TEST(zbuffer) {
     uint32_t i, j, k, differ = 0, seen = 0, n = test_quick() ? 700 : 1500;
     int inside;
     world_open(&w);
-    shape_sphere(&s[0], &g, 8, 6, 0.2, 0.3);
-    shape_sphere(&s[1], &g, 40, 30, 0.6, 0.1);
+    rays_shape_sphere(&s[0], &g, 8, 6, 0.2, 0.3);
+    rays_shape_sphere(&s[1], &g, 40, 30, 0.6, 0.1);
     proto = world_mesh(&w, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &s[0]);
     big = world_mesh(&w, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &s[1]);
     for (i = 0; i < n; i++) {
@@ -928,8 +928,8 @@ TEST(zbuffer) {
     free(keys.key);
     rays_close(&w, &r);
     world_close(&w);
-    shape_free(&s[0]);
-    shape_free(&s[1]);
+    rays_shape_free(&s[0]);
+    rays_shape_free(&s[1]);
 }
 
 int main(int argc, char **argv) {

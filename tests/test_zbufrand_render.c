@@ -5,7 +5,7 @@
 #include "zbufrand.h"
 #include "zbufrand_shapes.h"
 
-static zbufrand_scene *scene_of(const zbufrand_mesh *m, uint32_t count) {
+static zbufrand_scene *render_scene_of(const zbufrand_mesh *m, uint32_t count) {
     zbufrand_scene *s = NULL;
     zbufrand_build_desc b;
     uint32_t i;
@@ -231,7 +231,7 @@ TEST(like_a_z_buffer) {
         buffers b;
         three_balls(&s, rings);
         m = mesh_of(&s);
-        scene = scene_of(&m, 1);
+        scene = render_scene_of(&m, 1);
         exact_open(&e, 200, 150, 9); /* slivers between outlines are seen, too */
         buffers_open(&b, 200, 150);
         for (k = 0; k < 3; k++) {
@@ -303,7 +303,7 @@ TEST(shows_what_is_visible) {
     exact e;
     three_balls(&s, 16);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     exact_open(&e, W, H, K);
     e.triangle = (uint32_t *)malloc((size_t)W * H * K * K * sizeof *e.triangle);
     REQUIRE(e.triangle != NULL);
@@ -365,7 +365,7 @@ TEST(raster_is_exact) {
     uint32_t i, off = 0, both = 0;
     three_balls(&s, 40);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     exact_open(&e, 200, 150, 1);
     buffers_open(&b, 200, 150);
     memset(&d, 0, sizeof d);
@@ -461,7 +461,7 @@ TEST(fills_without_asking) {
     }
     m = mesh_of(&s);
     m.two_sided = 1;
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&a, W, H);
     buffers_open(&b, W, H);
     for (way = 0; way < 2; way++) {
@@ -707,7 +707,7 @@ TEST(reported_share_is_incomplete) {
         else walls(&s, 100);
         mesh = mesh_of(&s);
         mesh.two_sided = world == 2;
-        scene = scene_of(&mesh, 1);
+        scene = render_scene_of(&mesh, 1);
         for (c = 0; c < cameras; c++) {
             zbufrand_render_desc d;
             zbufrandi_camera camera;
@@ -841,7 +841,7 @@ TEST(tolerance_of_random_scenes) {
         random_scene(&s, &r, kind, centre, &radius);
         mesh = mesh_of(&s);
         mesh.two_sided = kind != 3 && test_rng_below(&r, 2);
-        scene = scene_of(&mesh, 1);
+        scene = render_scene_of(&mesh, 1);
         memset(&d, 0, sizeof d);
         for (i = 0; i < 3; i++) d.camera.at[i] = centre[i] + 0.3 * radius * (test_rng_double(&r) - 0.5);
         d.camera.eye[0] = centre[0] + radius * far_away * cos(angle);
@@ -933,7 +933,7 @@ TEST(noise_of_random_scenes) {
         random_scene(&s, &r, kind, centre, &radius);
         mesh = mesh_of(&s);
         mesh.two_sided = 1;
-        scene = scene_of(&mesh, 1);
+        scene = render_scene_of(&mesh, 1);
         memset(&d, 0, sizeof d);
         for (i = 0; i < 3; i++) d.camera.at[i] = centre[i];
         d.camera.eye[0] = centre[0] + radius * far_away * cos(angle);
@@ -994,7 +994,7 @@ TEST(few_samples_among_rastered) {
     m[0] = mesh_of(&s[0]);
     m[1] = mesh_of(&s[1]);
     m[1].two_sided = 1;
-    scene = scene_of(m, 2);
+    scene = render_scene_of(m, 2);
     for (c = 0; c < cameras; c++) {
         const double angle = 6.2831853 * test_rng_double(&r), far = 1.5 + 4 * test_rng_double(&r);
         const zbufrandi_picture *p;
@@ -1095,7 +1095,7 @@ TEST(odd_cameras) {
     uint32_t i, k, a;
     three_balls(&s, 20);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 64, 48);
     for (k = 0; k < (test_quick() ? 40u : 400u); k++) {
         memset(&d, 0, sizeof d);
@@ -1122,7 +1122,7 @@ TEST(odd_cameras) {
         shape_box(&box, -1, -1, -1, 1, 1, 1);
         m = mesh_of(&box);
         m.two_sided = 1;
-        room = scene_of(&m, 1);
+        room = render_scene_of(&m, 1);
         for (k = 0; k < 40; k++) {
             memset(&d, 0, sizeof d);
             for (a = 0; a < 3; a++) {
@@ -1193,7 +1193,7 @@ TEST(wrong_arguments) {
     uint32_t i;
     three_balls(&s, 6);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 16, 16);
     memset(&d, 0, sizeof d);
     CHECK_EQ_U64(zbufrand_render(frame, NULL, scene, &b.image, &st), ZBUFRAND_OK); /* all defaults frame the scene */
@@ -1589,7 +1589,7 @@ TEST(own_shading) {
         m.vertex_rgb = rgb;
         m.normals = s.normal;
         m.material = 3;
-        scene = scene_of(&m, 1);
+        scene = render_scene_of(&m, 1);
         buffers_open(&b, 100, 80);
         memset(&d, 0, sizeof d);
         memset(&u, 0, sizeof u);
@@ -1703,7 +1703,7 @@ TEST(clouds) {
     memset(&s, 0, sizeof s);
     shape_box(&s, -1, -1, -0.1, 1, 1, 0.1);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     for (i = 0; i < n; i++) {
         for (a = 0; a < 3; a++) xyz[3 * i + a] = test_rng_range(&r, -3, 3);
         for (a = 0; a < 3; a++) rgb[3 * i + a] = (uint8_t)(i >> 8 * a);
@@ -1894,7 +1894,7 @@ TEST(draws_more_if_too_little) {
     }
     m = mesh_of(&s);
     m.two_sided = 1;
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&a, W, H);
     buffers_open(&b, W, H);
     for (way = 0; way < 3; way++) { /* rastered, right areas, areas too small */
@@ -2201,7 +2201,7 @@ TEST(pictures_stay_as_good) {
         if (world == 1) soup(&s[0], &r, 20000, 0.02, 1);
         m = mesh_of(&s[0]);
         m.two_sided = world == 1;
-        scene = world == 2 ? forest(s, 400) : scene_of(&m, 1);
+        scene = world == 2 ? forest(s, 400) : render_scene_of(&m, 1);
         for (way = 0; way < 4; way++) {
             zbufrand_render_desc d;
             double psnr, ssim;
@@ -2272,7 +2272,7 @@ TEST(gaps_between_squares) {
     }
     m = mesh_of(&s);
     m.two_sided = 1;
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     for (i = 0; i < 3; i++) {
         zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
         zbufrand_render_desc d;
@@ -2400,9 +2400,9 @@ TEST(borders_and_mixtures_keep_promises) {
         for (i = 0; i < s.vertices; i++) rgb[3 * i + (i < 4 * N * N ? 0 : 2)] = 255;
         m = mesh_of(&s);
         m.vertex_rgb = rgb;
-        scene = scene_of(&m, 1);
+        scene = render_scene_of(&m, 1);
         frame = open_frame(1, ZBUFRAND_ISA_AUTO);
-        for (way = 0; way < WAYS; way++) { /* cells, squares, blocks */
+        for (way = test_quick() ? rastered : 0; way < WAYS; way += test_quick() ? 2 : 1) { /* cells, squares, blocks */
             double incomplete = 0;
             uint32_t bad = 0;
             for (seed = 0; seed < frames; seed++) {
@@ -2490,9 +2490,9 @@ TEST(steep_surfaces_stay_hidden) {
         for (i = 0; i < s.vertices; i++) rgb[3 * i + (i < front ? 0 : 2)] = 255;
         m = mesh_of(&s);
         m.vertex_rgb = rgb;
-        scene = scene_of(&m, 1);
+        scene = render_scene_of(&m, 1);
         frame = open_frame(1, ZBUFRAND_ISA_AUTO);
-        for (way = 0; way < 12; way++) { /* blocks 3 and 8, no fill and Voronoi, cells and both sorts of squares */
+        for (way = 0; way < 12; way += test_quick() ? 5 : 1) { /* blocks 3 and 8, no fill and Voronoi, cells and both sorts of squares */
             uint32_t bad = 0;
             double covered = 0;
             for (seed = 0; seed < FRAMES; seed++) {
@@ -2558,7 +2558,7 @@ static uint32_t walls_that_fail(double half_x, double half_y, uint32_t side, zbu
     for (i = 0; i < 4 * side * side; i++) rgb[3 * i] = 255;
     m = mesh_of(&s);
     m.vertex_rgb = rgb;
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     d->camera.eye[2] = 4;
     if (!(d->camera.fov_y > 0)) d->camera.fov_y = 30;
     d->independent = d->unlit = d->no_occlusion = 1;
@@ -3314,7 +3314,7 @@ TEST(cancelled) {
                 if (what < ASK_SELECT) CHECK_EQ_U64(buffers_hash(&b), want);
                 zbufrand_frame_destroy(frame);
                 test_alloc_check(&ta);
-                if (at != 0 && (q.calls < at || at > (test_quick() ? 20 : 200))) break;
+                if (at != 0 && (q.calls < at || at > (test_quick() ? 6 : 200))) break;
             }
         }
         if (what < ASK_SELECT) { /* nobody is asked */
@@ -3394,7 +3394,7 @@ TEST(only_nodes) {
     m.positions = corner;
     m.vertex_count = 3;
     m.triangle_count = 1;
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 200, 50);
     b.image.rgba8 = NULL;
     b.image.rgba = b.image.depth = NULL;
@@ -3445,7 +3445,7 @@ TEST(any_unit) {
             if (way & 1) m.vertex_rgb = rgb;
             for (isa = 1; isa <= 3; isa += 2) {
                 zbufrand_frame *frame = open_frame(1, isa == 1 ? ZBUFRAND_ISA_SCALAR : ZBUFRAND_ISA_AUTO);
-                zbufrand_scene *scene = scene_of(&m, 1);
+                zbufrand_scene *scene = render_scene_of(&m, 1);
                 zbufrand_render_desc d;
                 buffers b;
                 double worst = 0, bright = 0;
@@ -3490,7 +3490,7 @@ TEST(lights_of_any_length) {
     m.positions = corner;
     m.vertex_count = 3;
     m.triangle_count = 1;
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 64, 64);
     for (directional = 1; directional >= 0; directional--) {
         for (i = 0; i < 5; i++) {
@@ -3542,7 +3542,7 @@ TEST(incomplete_of_many_samples) {
     memset(&s, 0, sizeof s);
     shape_sphere(&s, 0, 0, 0, 1, 40);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 32, 32);
     for (i = 0; i < 9; i++) {
         memset(&d, 0, sizeof d);
@@ -3581,7 +3581,7 @@ TEST(bright_pictures) {
     memset(&s, 0, sizeof s);
     shape_sphere(&s, 0, 0, 0, 1, 20);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 40, 32);
     for (k = 0; k < 24; k++) {
         memset(&d, 0, sizeof d);
@@ -3637,7 +3637,7 @@ TEST(reasons) {
     memset(&s, 0, sizeof s);
     shape_sphere(&s, 0, 0, 0, 1, 20);
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = render_scene_of(&m, 1);
     buffers_open(&b, 32, 32);
     memset(&d, 0, sizeof d);
     d.reconstruct.block = 2000;

@@ -5,7 +5,7 @@
 #include "zbufrand.h"
 #include "zbufrand_shapes.h"
 
-static zbufrand_scene *scene_of(const zbufrand_mesh *m, int ids) {
+static zbufrand_scene *sample_scene_of(const zbufrand_mesh *m, int ids) {
     zbufrand_scene *s = NULL;
     zbufrand_build_desc b;
     memset(&b, 0, sizeof b);
@@ -37,7 +37,7 @@ static double chi_limit(double k) {
     return k * t * t * t;
 }
 
-enum { GRID = 16, WIDTH = 320, HEIGHT = 240 };
+enum { GRID = 16, SAMPLE_WIDTH = 320, SAMPLE_HEIGHT = 240 };
 
 typedef struct counts {
     double cell[GRID][GRID];
@@ -50,7 +50,7 @@ static int count_sample(void *user, const zbufrand_sample *s, const uint32_t *nu
     size_t i;
     (void)numbers;
     for (i = 0; i < n; i++) {
-        int x = (int)(s[i].x * GRID / WIDTH), y = (int)(s[i].y * GRID / HEIGHT);
+        int x = (int)(s[i].x * GRID / SAMPLE_WIDTH), y = (int)(s[i].y * GRID / SAMPLE_HEIGHT);
         if (x < 0 || y < 0 || x >= GRID || y >= GRID || !(s[i].z > 0)) {
             CHECK_MSG(0, "a sample at %g %g, depth %g", (double)s[i].x, (double)s[i].y, (double)s[i].z);
             return 1;
@@ -74,7 +74,7 @@ static void covered(const zbufrandi_camera *c, double half, int columns, double 
             int n = 0;
             for (i = 0; i < columns; i++) {
                 for (j = 0; j < 32; j++) {
-                    double px = (x + (i + 0.5) / columns) * WIDTH / GRID, py = (y + (j + 0.5) / 32) * HEIGHT / GRID;
+                    double px = (x + (i + 0.5) / columns) * SAMPLE_WIDTH / GRID, py = (y + (j + 0.5) / 32) * SAMPLE_HEIGHT / GRID;
                     double u = (px - c->center_x) / c->focal, v = (c->center_y - py) / c->focal, d[3], t;
                     int a;
                     for (a = 0; a < 3; a++) d[a] = c->dir[a] + u * c->right[a] + v * c->up[a];
@@ -107,7 +107,7 @@ static void check_density(uint32_t mesh, double tilt, double fov, double density
     plane(&s, mesh, 3);
     m = mesh_of(&s);
     m.two_sided = (flags & 4) != 0;
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
     d.camera.eye[0] = 4 * sin(tilt * 0.0174532925199433);
     d.camera.eye[2] = sign * 4 * cos(tilt * 0.0174532925199433);
@@ -119,9 +119,9 @@ static void check_density(uint32_t mesh, double tilt, double fov, double density
     d.independent = (flags & 2) != 0;
     for (seed = 0; seed < seeds; seed++) {
         d.seed = seed;
-        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, &st), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c, &st), ZBUFRAND_OK);
     }
-    CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, 0, &camera), ZBUFRAND_OK);
     if (sign < 0) { /* the oracle wants to look down */
         camera.eye[2] = -camera.eye[2];
         camera.dir[2] = -camera.dir[2];
@@ -134,7 +134,7 @@ static void check_density(uint32_t mesh, double tilt, double fov, double density
         known.fov = fov;
         known.sign = sign;
     }
-    scale = density * seeds * (double)WIDTH * HEIGHT / (GRID * GRID);
+    scale = density * seeds * (double)SAMPLE_WIDTH * SAMPLE_HEIGHT / (GRID * GRID);
     for (y = 0; y < GRID; y++) {
         for (x = 0; x < GRID; x++) {
             expected = cover[y][x] * scale;
@@ -194,7 +194,7 @@ static double area_in_picture(double (*p)[2], int n) {
     memcpy(poly[0], p, (size_t)n * sizeof p[0]);
     for (side = 0; side < 4; side++) {
         const int a = side & 1;
-        const double limit = side < 2 ? 0 : a == 0 ? WIDTH : HEIGHT, sign = side < 2 ? 1 : -1;
+        const double limit = side < 2 ? 0 : a == 0 ? SAMPLE_WIDTH : SAMPLE_HEIGHT, sign = side < 2 ? 1 : -1;
         int m = 0;
         for (i = 0; i < n; i++) {
             const double *u = poly[at][i], *v = poly[at][(i + 1) % n];
@@ -249,8 +249,8 @@ TEST(areas_of_triangles) {
         shape_triangle(&s, 0, 1, 2);
         m = mesh_of(&s);
         m.two_sided = 1;
-        scene = scene_of(&m, 0);
-        CHECK_EQ_U64(zbufrand_camera_view(&d.camera, scene, WIDTH, HEIGHT, &view), ZBUFRAND_OK);
+        scene = sample_scene_of(&m, 0);
+        CHECK_EQ_U64(zbufrand_camera_view(&d.camera, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, &view), ZBUFRAND_OK);
         for (k = 0; k < 3; k++) {
             for (a = 0; a < 3; a++) {
                 const double *row = view.world_to_camera[a];
@@ -286,14 +286,14 @@ TEST(areas_of_triangles) {
             prj = view.focal * view.focal * (fabs(away) / far) / (p[2] * p[2] * (p[2] / far));
             x = view.center_x + view.focal * p[0] / p[2];
             y = view.center_y - view.focal * p[1] / p[2];
-            if (x < 0 || y < 0 || x >= WIDTH || y >= HEIGHT) continue;
+            if (x < 0 || y < 0 || x >= SAMPLE_WIDTH || y >= SAMPLE_HEIGHT) continue;
             prj *= 0.5 * length;
             sum += prj / points;
             sum2 += prj * prj / points;
         }
         CHECK_MSG(fabs(sum - area) < 4.5 * sqrt(fmax(sum2 - sum * sum, 0) / points) + 1e-3, "triangle %u: %g square pixels, %g by the factor",
                   t, area, sum);
-        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
         CHECK_MSG(fabs((double)c.total - density * area) < 4.5 * sqrt(density * area) + 2, "triangle %u: %g samples for %g", t, (double)c.total,
                   density * area);
         seen += (double)c.total;
@@ -309,12 +309,13 @@ TEST(areas_of_triangles) {
         for (k = 0; k < 2; k++) {
             zbufrand_camera camera;
             zbufrand_view view;
-            const double half = tan(diagonal[k] * 0.5 * 0.0174532925199433), high = half * HEIGHT / sqrt(WIDTH * WIDTH + HEIGHT * HEIGHT);
+            const double half = tan(diagonal[k] * 0.5 * 0.0174532925199433),
+                high = half * SAMPLE_HEIGHT / sqrt(SAMPLE_WIDTH * SAMPLE_WIDTH + SAMPLE_HEIGHT * SAMPLE_HEIGHT);
             memset(&camera, 0, sizeof camera);
             camera.at[2] = -1;
             camera.fov_y = 2 * atan(high) / 0.0174532925199433;
-            CHECK_EQ_U64(zbufrand_camera_view(&camera, NULL, WIDTH, HEIGHT, &view), ZBUFRAND_OK);
-            CHECK_NEAR(sqrt(1 + (0.25 * WIDTH * WIDTH + 0.25 * HEIGHT * HEIGHT) / (view.focal * view.focal)), want[k], 1e-4);
+            CHECK_EQ_U64(zbufrand_camera_view(&camera, NULL, SAMPLE_WIDTH, SAMPLE_HEIGHT, &view), ZBUFRAND_OK);
+            CHECK_NEAR(sqrt(1 + (0.25 * SAMPLE_WIDTH * SAMPLE_WIDTH + 0.25 * SAMPLE_HEIGHT * SAMPLE_HEIGHT) / (view.focal * view.focal)), want[k], 1e-4);
         }
     }
     zbufrand_frame_destroy(frame);
@@ -336,11 +337,11 @@ TEST(facing_away) {
         memset(&d, 0, sizeof d);
         plane(&s, mesh, 3);
         m = mesh_of(&s);
-        scene = scene_of(&m, 0);
+        scene = sample_scene_of(&m, 0);
         d.camera.eye[2] = -4;
         d.camera.eye[0] = 1;
         d.hybrid = ZBUFRAND_HYBRID_OFF;
-        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
         CHECK_EQ_U64(c.total, 0);
         zbufrand_scene_destroy(scene);
         shape_free(&s);
@@ -427,7 +428,7 @@ TEST(instances_and_copies) {
             shape_free(&pair);
         }
         m = mesh_of(&all);
-        scene[1] = scene_of(&m, 0);
+        scene[1] = sample_scene_of(&m, 0);
         CHECK_EQ_U64(zbufrand_scene_build(scene[0], NULL, NULL), ZBUFRAND_OK);
         CHECK_EQ_U64(scene[0]->info.triangles, scene[1]->info.triangles);
         CHECK_NEAR(scene[0]->info.area / scene[1]->info.area, 1, 1e-4);
@@ -441,7 +442,7 @@ TEST(instances_and_copies) {
         for (seed = 0; seed < (test_quick() ? 1u : 4u); seed++) {
             for (i = 0; i < 2; i++) {
                 d.seed = 100 * i + seed;
-                CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene[i], WIDTH, HEIGHT, count_sample, &c[i], NULL), ZBUFRAND_OK);
+                CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene[i], SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c[i], NULL), ZBUFRAND_OK);
             }
         }
         for (y = 0; y < GRID; y++) {
@@ -505,7 +506,7 @@ TEST(pixels_hit) {
         s.p[3 * i + 1] = 0.295520f * x + 0.955336f * y;
     }
     m = mesh_of(&s);
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
     for (way = 0; way < 3; way++) { /* independent, strata, comb */
         for (k = 0; k < 6; k++) {
@@ -576,7 +577,7 @@ TEST(pixels_of_triangles_hit) {
         s.p[3 * i + 1] = 0.295520f * x + 0.955336f * y;
     }
     m = mesh_of(&s);
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
     for (seed = 0; seed < 3; seed++) {
         zbufrand_render_desc d;
@@ -650,8 +651,8 @@ TEST(four_levels) {
     for (seed = 0; seed < 2; seed++) {
         for (i = 0; i < 2; i++) {
             d.seed = 100 * i + seed;
-            CHECK_EQ_U64(zbufrand_camera_fit_scene(&d.camera, scene[1], NULL, WIDTH, HEIGHT), ZBUFRAND_OK);
-            CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene[i], WIDTH, HEIGHT, count_sample, &c[i], NULL), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_camera_fit_scene(&d.camera, scene[1], NULL, SAMPLE_WIDTH, SAMPLE_HEIGHT), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene[i], SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c[i], NULL), ZBUFRAND_OK);
         }
     }
     for (y = 0; y < GRID; y++) {
@@ -728,9 +729,9 @@ TEST(points_for_directions) {
         d.camera.at[2] = -1;
         d.camera.fov_y = 20;
         d.density = 2;
-        CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, NULL, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, NULL, SAMPLE_WIDTH, SAMPLE_HEIGHT, 0, &camera), ZBUFRAND_OK);
         for (i = 0; i < GRID * GRID; i++) {
-            const double x = (i % GRID + 0.5) * WIDTH / GRID, y = (i / GRID + 0.5) * HEIGHT / GRID;
+            const double x = (i % GRID + 0.5) * SAMPLE_WIDTH / GRID, y = (i / GRID + 0.5) * SAMPLE_HEIGHT / GRID;
             sample_transform(&r, 1.0 + 0.4 * test_rng_double(&r), (int)(i % 3 == 0), &t[i]);
             t[i].m[0][3] = (x - camera.center_x) * 400 / camera.focal;
             t[i].m[1][3] = (camera.center_y - y) * 400 / camera.focal;
@@ -740,7 +741,7 @@ TEST(points_for_directions) {
         CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
         REQUIRE(scene->structure[1].first_view != 0);
         CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
-        CHECK_EQ_U64(zbufrand_select(frame, &d, scene, WIDTH, HEIGHT, group, 4 * GRID * GRID, &groups, NULL), ZBUFRAND_OK);
+        CHECK_EQ_U64(zbufrand_select(frame, &d, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, group, 4 * GRID * GRID, &groups, NULL), ZBUFRAND_OK);
         REQUIRE(groups <= 4 * GRID * GRID);
         for (k = 0; k < groups; k++) {
             views += group[k].kind == ZBUFRAND_DRAW_STORED && group[k].expected < 0.9 * d.density * group[k].area * group[k].factor_max;
@@ -750,7 +751,7 @@ TEST(points_for_directions) {
         CHECK_MSG(views * 10 >= groups * 9, "only %u of %u groups are for a direction", views, (unsigned)groups);
         for (i = 0; i < seeds; i++) {
             d.seed = i;
-            CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, WIDTH, HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
+            CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
         }
         for (i = 0; i < GRID * GRID; i++) {
             const int mirrored = i % 3 == 0;
@@ -808,21 +809,21 @@ TEST(twelve_decades_in_a_cluster) {
     }
     for (i = 0; i < 28; i++) shape_triangle(&s, shape_vertex(&s, i, 5, 0), shape_vertex(&s, i, 6, 0), shape_vertex(&s, i + 1, 5, 0)); /* away */
     m = mesh_of(&s);
-    scene = scene_of(&m, 1);
+    scene = sample_scene_of(&m, 1);
     memset(&k, 0, sizeof k);
     k.eye[2] = k.at[2] = 30;
     k.at[2] = 0;
     memset(&g, 0, sizeof g);
     memset(&d, 0, sizeof d);
     memset(&cut, 0, sizeof cut);
-    CHECK_EQ_U64(zbufrandi_camera_open(&k, scene, WIDTH, HEIGHT, 0, &camera), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrandi_camera_open(&k, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, 0, &camera), ZBUFRAND_OK);
     cut.scene = scene;
     cut.camera = camera;
     cut.density = 1;
     g.cut = &cut;
     g.focal = camera.focal;
-    g.width = WIDTH;
-    g.height = HEIGHT;
+    g.width = SAMPLE_WIDTH;
+    g.height = SAMPLE_HEIGHT;
     g.center_x = (float)camera.center_x;
     g.center_y = (float)camera.center_y;
     zbufrandi_local_root(&camera, &scene->structure[0], 1, &local);
@@ -995,7 +996,7 @@ TEST(points_of_a_mesh) {
     for (i = 0; i < s.triangles; i++) total += area[i] = triangle_area(&s, i);
     m = mesh_of(&s);
     m.triangle_rgb = color;
-    scene = scene_of(&m, 1);
+    scene = sample_scene_of(&m, 1);
     for (mode = 0; mode < 2; mode++) {
         zbufrand_surface_points_desc d;
         size_t prefix;
@@ -1087,7 +1088,7 @@ TEST(short_prefixes_are_even) {
     memset(&s, 0, sizeof s);
     plane(&s, 60, 1);
     m = mesh_of(&s);
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     for (seed = 0; seed < 20; seed++) {
         for (mode = 0; mode < 2; mode++) {
             zbufrand_surface_points_desc d;
@@ -1125,7 +1126,7 @@ TEST(a_hundred_million_points_are_independent) {
     plane(&s, SIDE, 1);
     m = mesh_of(&s);
     REQUIRE(s.triangles * 4 == cells);
-    scene = scene_of(&m, 1);
+    scene = sample_scene_of(&m, 1);
     d.independent = 1;
     for (k = 0; k < parts; k++, d.first += PART) {
         CHECK_EQ_U64(zbufrand_surface_points(scene, &d, PART, p, NULL, NULL, id), ZBUFRAND_OK);
@@ -1220,7 +1221,7 @@ TEST(points_of_powers_of_two) {
     static zbufrand_transform place[LEVELS][4];
     static float position[N][3], normal[N][3];
     static uint32_t id[N][2];
-    const size_t page = (size_t)1 << 20;
+    const size_t page = (size_t)1 << (test_quick() ? 18 : 20);
     float *all = (float *)malloc(page * 6 * sizeof(float));
     zbufrand_scene *s = NULL;
     zbufrand_surface_points_desc d;
@@ -1269,7 +1270,7 @@ TEST(points_of_powers_of_two) {
     d.independent = 0;
     CHECK_EQ_U64(zbufrand_surface_points(s, &d, page, all, all + 3 * page, NULL, NULL), ZBUFRAND_OK);
     for (k = 0; k < 3; k++) {
-        d.first = 500000 * k;
+        d.first = page / 8 * 3 * k;
         CHECK_EQ_U64(zbufrand_surface_points(s, &d, N, position[0], normal[0], NULL, NULL), ZBUFRAND_OK);
         CHECK(memcmp(position, all + 3 * d.first, sizeof position) == 0);
         CHECK(memcmp(normal, all + 3 * page + 3 * d.first, sizeof normal) == 0);
@@ -1295,7 +1296,7 @@ TEST(attributes_of_surface_points) {
     m = mesh_of(&s);
     m.normals = s.normal;
     m.vertex_rgb = color;
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     d.vertex_normals = 1;
     CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 300, p, n, rgb, NULL), ZBUFRAND_OK);
     for (i = 0; i < 300; i++) {
@@ -1367,7 +1368,7 @@ TEST(points_of_any_size) {
     for (i = 0; i < 900; i++) (void)shape_vertex(&s, test_rng_double(&r), test_rng_double(&r), test_rng_double(&r));
     for (i = 0; i < 900; i += 3) shape_triangle(&s, i, i + 1, i + 2);
     m = mesh_of(&s);
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, most, p[0], n[0], NULL, NULL), ZBUFRAND_OK);
     zbufrand_scene_destroy(scene);
     for (e = 0; e < 4; e++) {
@@ -1379,7 +1380,7 @@ TEST(points_of_any_size) {
         REQUIRE(t.p != NULL);
         for (k = 0; k < 3 * s.vertices; k++) t.p[k] = s.p[k] * scale;
         m = mesh_of(&t);
-        scene = scene_of(&m, 0);
+        scene = sample_scene_of(&m, 0);
         CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, count, p[1], n[1], NULL, NULL), ZBUFRAND_OK);
         for (k = 0; k < 3 * count; k++) wrong += p[1][k] != p[0][k] * scale || n[1][k] != n[0][k];
         CHECK_MSG(wrong == 0, "2^%d: %zu of %zu numbers", exponent[e], wrong, 6 * count);
@@ -1395,7 +1396,7 @@ TEST(points_of_any_size) {
         shape_triangle(&s, 3 * i, 3 * i + 1, 3 * i + 2);
     }
     m = mesh_of(&s);
-    scene = scene_of(&m, 0);
+    scene = sample_scene_of(&m, 0);
     CHECK_EQ_U64(zbufrand_surface_points(scene, NULL, 2000, p[0], n[0], NULL, NULL), ZBUFRAND_OK);
     for (i = a = 0; i < 2000; i++) {
         a += p[0][3 * i + 1] > 1;
@@ -1494,7 +1495,7 @@ TEST(corners_moved_by_rounding) {
             for (i = 0; i < 192; i++) shape_triangle(&s, 3 * i, 3 * i + 1, 3 * i + 2);
             m = mesh_of(&s);
             m.two_sided = 1;
-            scene = scene_of(&m, 0);
+            scene = sample_scene_of(&m, 0);
             fd.isa = level ? ZBUFRAND_ISA_SCALAR : ZBUFRAND_ISA_AUTO;
             fd.env.thread_count = 1;
             CHECK_EQ_U64(zbufrand_frame_create(&fd, &frame), ZBUFRAND_OK);

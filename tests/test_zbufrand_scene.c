@@ -6,7 +6,7 @@
 
 static zbufrand_error g_error;
 
-static zbufrand_scene *open_scene(void) {
+static zbufrand_scene *scene_open_scene(void) {
     zbufrand_scene_desc d;
     zbufrand_scene *s = NULL;
     memset(&d, 0, sizeof d);
@@ -18,7 +18,7 @@ static zbufrand_scene *open_scene(void) {
 }
 
 TEST(what_is_in_no_scene) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     shape box;
     zbufrand_mesh m;
     zbufrand_node n = 77;
@@ -60,7 +60,7 @@ TEST(what_is_in_no_scene) {
 }
 
 TEST(lists) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     zbufrand_node a, b, loose, r;
     zbufrand_scene_info info;
     CHECK_EQ_U64(zbufrand_add_list(s, 1, NULL, 0, &a), ZBUFRAND_OK);
@@ -83,7 +83,7 @@ TEST(lists) {
 }
 
 TEST(cycles) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     zbufrand_node a, b, c, r;
     CHECK_EQ_U64(zbufrand_add_list(s, 1, NULL, 0, &a), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_add_list(s, a, NULL, 0, &b), ZBUFRAND_OK);
@@ -93,7 +93,7 @@ TEST(cycles) {
     CHECK_EQ_U64(g_error.where, r);
     CHECK(strstr(g_error.text, "cycle") != NULL);
     zbufrand_scene_destroy(s);
-    s = open_scene(); /* a list that is put into itself by a detour */
+    s = scene_open_scene(); /* a list that is put into itself by a detour */
     CHECK_EQ_U64(zbufrand_add_list(s, 0, NULL, 0, &a), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_add_list(s, a, NULL, 0, &b), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_list_append(s, b, a), ZBUFRAND_OK); /* seen when it is walked, and nobody walks it */
@@ -101,7 +101,7 @@ TEST(cycles) {
     CHECK_EQ_U64(zbufrand_add_reference(s, 1, NULL, b, &r), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_INVALID_ARG);
     zbufrand_scene_destroy(s);
-    s = open_scene(); /* a reference to itself, to the root */
+    s = scene_open_scene(); /* a reference to itself, to the root */
     CHECK_EQ_U64(zbufrand_add_list(s, 1, NULL, 0, &a), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_add_reference(s, a, NULL, ZBUFRAND_ROOT, &r), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_INVALID_ARG);
@@ -109,7 +109,7 @@ TEST(cycles) {
 }
 
 TEST(deep_lists_and_levels) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     shape box;
     zbufrand_mesh m;
     zbufrand_node at = 1, next, lib, node;
@@ -128,7 +128,7 @@ TEST(deep_lists_and_levels) {
     CHECK_EQ_U64(info.structures, 1);
     zbufrand_scene_destroy(s);
     for (levels = 63; levels <= 66; levels++) { /* 64 levels are allowed; two copies each would be 2^64 */
-        s = open_scene();
+        s = scene_open_scene();
         CHECK_EQ_U64(zbufrand_add_list(s, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_add_mesh(s, lib, NULL, 0, &m, &node), ZBUFRAND_OK);
         for (i = 0; i < levels; i++) {
@@ -164,7 +164,7 @@ static zbufrand_result build_tower(zbufrand_scene *s, const zbufrand_mesh *m, ui
 }
 
 TEST(counts_beyond_32_bits) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     shape box;
     zbufrand_mesh m;
     zbufrand_scene_info info;
@@ -179,7 +179,7 @@ TEST(counts_beyond_32_bits) {
     CHECK_NEAR(info.box_max[0] / (2e12 - 1), 1.0, 1e-6);
     CHECK_EQ_U64(info.structures, 7);
     zbufrand_scene_destroy(s);
-    s = open_scene();
+    s = scene_open_scene();
     CHECK_EQ_U64(build_tower(s, &m, 10, 100, &info), ZBUFRAND_ERR_RANGE); /* 1.2e21 */
     CHECK_EQ_U64(info.triangles, 0);
     zbufrand_scene_destroy(s);
@@ -195,7 +195,7 @@ TEST(full_structures) {
     shape_box(&box, 0, 0, 0, 1, 1, 1);
     m = mesh_of(&box);
     for (full = 0; full < 2; full++) {
-        zbufrand_scene *s = open_scene();
+        zbufrand_scene *s = scene_open_scene();
         zbufrandi_structure to;
         zbufrandi_piece piece;
         zbufrandi_build b;
@@ -226,7 +226,7 @@ TEST(full_structures) {
 }
 
 TEST(what_is_drawn) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     shape box;
     zbufrand_mesh m;
     zbufrand_node mesh, hidden, list;
@@ -264,7 +264,7 @@ TEST(what_is_drawn) {
 }
 
 /* References in one node are the same as one by one: the same bytes. */
-static uint64_t hash_structure(const zbufrandi_structure *s) {
+static uint64_t scene_hash_structure(const zbufrandi_structure *s) {
     uint64_t h = test_fnv1a(s->origin, sizeof s->origin, 0);
     h = test_fnv1a(s->position, 12 * (size_t)s->vertex_count, h);
     h = test_fnv1a(s->triangle, 3 * (size_t)s->triangle_count, h);
@@ -296,13 +296,13 @@ TEST(references_at_once) {
         }
     }
     for (k = 0; k < 2; k++) {
-        zbufrand_scene *s = open_scene();
+        zbufrand_scene *s = scene_open_scene();
         CHECK_EQ_U64(zbufrand_add_list(s, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_add_mesh(s, lib, NULL, 0, &m, &mesh), ZBUFRAND_OK);
         if (k == 0) CHECK_EQ_U64(zbufrand_add_references(s, 1, t, 40, mesh, NULL), ZBUFRAND_OK);
         for (i = 0; i < 40 && k == 1; i++) CHECK_EQ_U64(zbufrand_add_reference(s, 1, &t[i], mesh, NULL), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_OK);
-        hash[k] = hash_structure(&s->structure[0]);
+        hash[k] = scene_hash_structure(&s->structure[0]);
         zbufrand_scene_destroy(s);
     }
     CHECK_EQ_U64(hash[0], hash[1]);
@@ -311,7 +311,7 @@ TEST(references_at_once) {
 
 /* Four levels of instances, 10^6 away from the origin: what comes out is where it belongs, and as precise as at home. */
 TEST(far_away) {
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     shape ball;
     zbufrand_mesh m;
     zbufrand_node lib, node, list;
@@ -352,7 +352,7 @@ TEST(nearly_similar) {
     t.m[0][1] = 0.9e-5;
     back.m[0][1] = -0.9e-5;
     for (kind = 0; kind < 3; kind++) { /* a structure of its own, a reference, several */
-        zbufrand_scene *s = open_scene();
+        zbufrand_scene *s = scene_open_scene();
         CHECK_EQ_U64(zbufrand_add_list(s, ZBUFRAND_ROOT, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_add_mesh(s, lib, NULL, 0, &m, &model), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
@@ -399,7 +399,7 @@ TEST(nearly_similar) {
 TEST(bad_triangles) {
     static const float p[][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {NAN, 0, 0}, {INFINITY, 1, 1}, {2, 0, 0}, {1e30f, 0, 0}};
     static const uint32_t t[][3] = {{0, 1, 2}, {0, 1, 4}, {0, 1, 5}, {0, 1, 6}, {0, 0, 1}, {0, 1, 99}, {0, 2, 3}, {0, 1, 7}, {3, 3, 3}};
-    zbufrand_scene *s = open_scene();
+    zbufrand_scene *s = scene_open_scene();
     zbufrand_mesh m;
     zbufrand_scene_info info;
     zbufrand_build_desc d;
@@ -486,7 +486,7 @@ TEST(many_meshes_hold_no_more) {
     shape_torus(&torus, 0, 0, 0, 1, 0.4, 100, 50);
     m = mesh_of(&torus);
     for (n = 1; n <= 5; n++) {
-        zbufrand_scene *s = open_scene();
+        zbufrand_scene *s = scene_open_scene();
         for (i = 0; i < n; i++) CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
         CHECK_EQ_U64(info.stored_triangles, n * m.triangle_count);
@@ -497,7 +497,7 @@ TEST(many_meshes_hold_no_more) {
     for (n = 0; n < 2; n++) { /* and so do instances: 2^12, and some more */
         static zbufrand_transform place[5000];
         const uint32_t count = n == 0 ? 4096 : 5000;
-        zbufrand_scene *s = open_scene();
+        zbufrand_scene *s = scene_open_scene();
         zbufrand_node node;
         for (i = 0; i < count; i++) place[i] = move_scale(4.0 * (i % 70), 4.0 * (i / 70), 0, 1);
         m.triangle_count = 1;
@@ -522,7 +522,7 @@ TEST(views_are_limited) { /* what things have for being drawn many times is boun
     double plain = 0;
     uint32_t n, i, with = 0;
     if (test_quick()) SKIP("long");
-    s = open_scene();
+    s = scene_open_scene();
     memset(&torus, 0, sizeof torus);
     shape_torus(&torus, 0, 0, 0, 1, 0.4, 30, 20);
     m = mesh_of(&torus);

@@ -5,7 +5,7 @@
 #include "zbufrand_shapes.h"
 
 /* A torus, a two-sided soup, a flat patch with two sides, a box; as instances of many sizes, too. */
-static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
+static zbufrand_scene *select_mixed_scene(test_rng *r, shape *s) {
     zbufrand_node lib, node[4];
     zbufrand_transform t;
     zbufrand_scene *scene = mixed_meshes(r, s, 60, 1500, 6, &lib, node);
@@ -18,7 +18,7 @@ static zbufrand_scene *mixed_scene(test_rng *r, shape *s) {
     return scene;
 }
 
-static void random_camera(test_rng *r, zbufrandi_camera *c, double reach) {
+static void select_random_camera(test_rng *r, zbufrandi_camera *c, double reach) {
     zbufrand_camera k;
     uint32_t a;
     memset(&k, 0, sizeof k);
@@ -31,7 +31,7 @@ static void random_camera(test_rng *r, zbufrandi_camera *c, double reach) {
     CHECK_EQ_U64(zbufrandi_camera_open(&k, NULL, 320, 240, 0, c), ZBUFRAND_OK);
 }
 
-static void open_cut(zbufrandi_cut *cut, const zbufrand_scene *scene) {
+static void select_open_cut(zbufrandi_cut *cut, const zbufrand_scene *scene) {
     memset(cut, 0, sizeof *cut);
     cut->scene = scene;
     cut->density = 1;
@@ -101,7 +101,7 @@ static void check_below(bound *b, const zbufrand_scene *scene, uint32_t structur
 TEST(never_too_few) {
     test_rng r = test_rng_make(77);
     shape s[4];
-    zbufrand_scene *scene = mixed_scene(&r, s);
+    zbufrand_scene *scene = select_mixed_scene(&r, s);
     /* TEST_FULL=1: 10^8 points */
     const uint32_t cameras = test_quick() ? 20 : getenv("TEST_FULL") != NULL ? 140000 : 4000;
     uint32_t c, i, k, j;
@@ -114,8 +114,8 @@ TEST(never_too_few) {
         zbufrandi_camera camera;
         double unit[3][4];
         zbufrandi_m34_identity(unit);
-        random_camera(&r, &camera, c % 3 == 0 ? 0.7 : c % 3 == 1 ? 3 : 100);
-        open_cut(&cut, scene);
+        select_random_camera(&r, &camera, c % 3 == 0 ? 0.7 : c % 3 == 1 ? 3 : 100);
+        select_open_cut(&cut, scene);
         cut.camera = camera;
         cut.near_z = 1e-6f;
         cut.density_f2 = (float)(camera.focal * camera.focal);
@@ -216,7 +216,7 @@ TEST(directions_of_view) {
 TEST(both_forms) {
     test_rng r = test_rng_make(78);
     shape s[4];
-    zbufrand_scene *scene = mixed_scene(&r, s);
+    zbufrand_scene *scene = select_mixed_scene(&r, s);
     uint32_t c, i, k;
     if (zbufrandi_cpu_level() < 3 || !ZBUFRANDI_AVX2) {
         zbufrand_scene_destroy(scene);
@@ -228,8 +228,8 @@ TEST(both_forms) {
         zbufrandi_local local;
         zbufrandi_sides sides;
         zbufrandi_camera camera;
-        random_camera(&r, &camera, c % 2 ? 2 : 50);
-        open_cut(&cut, scene);
+        select_random_camera(&r, &camera, c % 2 ? 2 : 50);
+        select_open_cut(&cut, scene);
         cut.camera = camera;
         cut.near_z = c % 3 ? 1e-6f : 1.0f;
         cut.far_z = c % 5 ? 1e37f : 30.0f;
@@ -290,7 +290,7 @@ static int inside_view(const zbufrandi_camera *c, const double p[3]) { /* with n
 TEST(whole_instances) {
     test_rng r = test_rng_make(97);
     shape s[4];
-    zbufrand_scene *scene = mixed_scene(&r, s);
+    zbufrand_scene *scene = select_mixed_scene(&r, s);
     const zbufrandi_structure *st = &scene->structure[0];
     double before = 0, after = 0;
     uint32_t c, n, i, k, a, looked = 0;
@@ -309,8 +309,8 @@ TEST(whole_instances) {
         zbufrandi_cut cut;
         zbufrandi_local root, whole;
         zbufrandi_sides sides;
-        open_cut(&cut, scene);
-        random_camera(&r, &cut.camera, 6);
+        select_open_cut(&cut, scene);
+        select_random_camera(&r, &cut.camera, 6);
         cut.near_z = (float)cut.camera.near_z;
         cut.focal = (float)cut.camera.focal;
         cut.center_x = (float)cut.camera.center_x;
@@ -445,7 +445,7 @@ TEST(unbiased_counts) {
     test_rng r = test_rng_make(80);
     const uint32_t seeds = test_quick() ? 50 : 2000;
     shape s[4];
-    zbufrand_scene *scene = mixed_scene(&r, s);
+    zbufrand_scene *scene = select_mixed_scene(&r, s);
     zbufrand_frame *frame = NULL;
     zbufrand_group *g = (zbufrand_group *)malloc(40000 * sizeof *g);
     zbufrand_render_desc d;

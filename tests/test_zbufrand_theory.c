@@ -9,16 +9,16 @@
 static int is_nan(double x) { return x != x; }
 static double rel(double a, double b) { return a == b ? 0.0 : fabs(a - b) / fabs(b); }
 
-static double gauss(test_rng *r) {
+static double theory_gauss(test_rng *r) {
     double u = test_rng_double(r), v = test_rng_double(r);
     return sqrt(-2.0 * log(1.0 - u)) * cos(6.283185307179586 * v);
 }
 
-static uint32_t poisson(test_rng *r, double mean) { /* exact below 60, normal above 400, else a sum */
+static uint32_t theory_poisson(test_rng *r, double mean) { /* exact below 60, normal above 400, else a sum */
     double limit, p = 1.0;
     uint32_t k = 0;
-    if (mean > 400.0) return (uint32_t)floor(mean + sqrt(mean) * gauss(r) + 0.5);
-    for (; mean > 60.0; mean -= 50.0) k += poisson(r, 50.0);
+    if (mean > 400.0) return (uint32_t)floor(mean + sqrt(mean) * theory_gauss(r) + 0.5);
+    for (; mean > 60.0; mean -= 50.0) k += theory_poisson(r, 50.0);
     limit = exp(-mean);
     for (;; k++) {
         p *= test_rng_double(r);
@@ -213,7 +213,7 @@ TEST(lemma_2_success_rate) {
         uint32_t fixed = 0, spread = 0;
         for (t = 0; t < trials; t++) {
             fixed += empty_after(&r, n, (uint64_t)ceil(m)) == 0;
-            spread += empty_after(&r, n, poisson(&r, m)) == 0;
+            spread += empty_after(&r, n, theory_poisson(&r, m)) == 0;
         }
         CHECK_MSG(fabs((double)fixed / trials - s[j]) < 4.0 * se + 0.003, "fixed number: %g for %g", (double)fixed / trials, s[j]);
         CHECK_MSG(fabs((double)spread / trials - s[j]) < 4.0 * se + 0.003, "Poisson number: %g for %g", (double)spread / trials, s[j]);
@@ -389,7 +389,7 @@ TEST(windows_never_get_too_few) {
             for (direct = 0; direct < 2; direct++) {
                 lambda = direct ? zbufrand_samples(ZBUFRAND_BOUND_DIRECT, v, v, d, s) / v : zbufrand_density(v, d, s);
                 for (ok = 0, t = 0; t < trials; t++) {
-                    uint32_t m = poisson(&r, lambda * (double)(E * E));
+                    uint32_t m = theory_poisson(&r, lambda * (double)(E * E));
                     int bad = 0;
                     memset(hit, 0, sizeof hit);
                     while (m-- > 0) {
