@@ -444,7 +444,7 @@ group_symbols() {
         item "symbols $n STATIC" symbols $n static "$all" gcc -std=c99 -O0 -D${P}_STATIC
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
-        item "symbols $n roundings to float are kept" roundings_kept_O3 $n
+        [ -n "$SHORT" ] && [ "$(uname -m)" = x86_64 ] || item "symbols $n roundings to float are kept" roundings_kept_O3 $n
         [ "$(uname -m)" != x86_64 ] || item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
         [ -n "$SHORT" ] || item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
@@ -710,7 +710,11 @@ EOF
 }
 group_programs() {
     local f name
+    for f in tests/all_*.c; do # mains and locals of one file meet names of others
+        item "programs gcc $f" c gcc -std=c99 -fsyntax-only -Wno-missing-prototypes -Wno-shadow $STATIC "$f"
+    done
     for f in $(ls examples/*.c examples/web/*.c tests/test_*.c tests/fuzz/*.c bench/*.c bench/peers/*.c 2>/dev/null); do
+        [ -n "$SHORT" ] && grep -qs "\"${f##*/}\"" tests/all_*.c && continue # alone it is compiled in the long form
         item "programs gcc $f" c gcc -std=c99 -fsyntax-only "$f"
         [ -n "$SHORT" ] && [ "${f#examples}" = "$f" ] || item "programs clang $f" c clang -std=c99 -fsyntax-only "$f"
     done
@@ -723,8 +727,8 @@ group_programs() {
     done
     # those whose system is installed
     solo "programs peers" make -j"$JOBS" B="$OUT/peers" PEER_CXXFLAGS="-std=c++17 -fsyntax-only -Wall -Wextra -Werror -march=native" peers
-    solo "programs examples" make -j"$JOBS" examples ${SHORT:+"OPT=-O1 $STATIC"}
-    solo "programs benches" make -j"$JOBS" B="$OUT/benches" OPT=-O1 benches # not those that are to be fast
+    solo "programs examples" make -j"$JOBS" examples ${SHORT:+"OPT=-Og $STATIC"}
+    solo "programs benches" make -j"$JOBS" B="$OUT/benches" OPT="-O1 ${SHORT:+$STATIC}" benches # not those that are to be fast
     solo "programs exit statuses" exit_statuses
     [ -f tetcast.h ] && item "programs bricks' options" bricks_options
     [ ${#HEADERS[@]} = 3 ] && item "programs files and views" files_and_views
