@@ -1,6 +1,7 @@
 /* test_tetcast_bricks.c - resampling, planes, bricks with level of detail, shaders, clipping, tiles, codecs
    SPDX-License-Identifier: MIT OR Unlicense */
 #include "test.h"
+#include <float.h>
 #define TETCAST_IMPLEMENTATION
 #include "tetcast.h"
 #include "tets.h"
@@ -9,7 +10,6 @@
 #include "../bench/baseline/slices.h"
 #include "../bench/baseline/opacity_slices.h"
 #if !defined(_WIN32)
-#include <float.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #endif
