@@ -15,7 +15,7 @@ unset MAKEFLAGS MFLAGS MAKELEVEL MAKEOVERRIDES # each make that is started here 
 GROUPS_ALL="text options matrix targets link symbols hygiene programs readme install long modes sanitize fuzz soak emulate windows wasm analyze"
 SHORT=${SHORT:-}
 JOBS=${JOBS:-$(nproc)}
-OUT=${OUT:-build/check}
+OUT=$(realpath -m --relative-to=. "${OUT:-build/check}")
 FUZZ_SECONDS=${FUZZ_SECONDS:-60}
 FUZZ_FIXED=${FUZZ_FIXED:-}
 FUZZ_EACH=${FUZZ_EACH:-}           # seconds for each target instead of FUZZ_SECONDS for all
