@@ -2,7 +2,7 @@
 #   make CC=clang            another compiler
 #   make B=/tmp/b            another build folder
 #   make CFLAGS="-std=c99 -O3 -ffp-contract=off"
-# A new file in examples/, tests/ or bench/ needs no change here; a test of one header a line in tests/all_NAME.c.
+# A new file in examples/, tests/ or bench/ needs no change here; a test of one header is named in tests/all_NAME.c.
 
 CC      ?= cc
 ifeq ($(origin CC),default)
@@ -71,9 +71,9 @@ $(B)/report: bench/report.c $(B)/.flags
 	$(COMPILE)
 $(B)/tests/%: tests/%.c $(B)/.flags
 	$(COMPILE)
+	@[ ! -f $@.exe ] || mv -f $@.exe $@ # how MinGW calls it
 # tests of a header are one program with many names: the header takes longer to compile than its tests
-# (.exe: how MinGW calls it)
-LINK = @[ ! -f $<.exe ] || cp $<.exe $<; ln -f $< $@
+LINK = @ln -f $< $@
 $(filter $(B)/tests/test_voxrt_%,$(TESTS)): $(B)/tests/all_voxrt
 	$(LINK)
 $(filter $(B)/tests/test_zbufrand_%,$(TESTS)): $(B)/tests/all_zbufrand

@@ -1,5 +1,5 @@
 /* All tests of tetcast.h in one program, as the header takes longer to compile than they do; each file compiles alone, too.
-   The program is linked to all their names and runs the one it is called by. Names of one file are the names of no other. */
+   The program is linked to all their names and runs the one it is called by. No two files may define the same name. */
 #include "test.h"
 #undef TEST_FILE
 #define TEST_FILE tetcast_bricks

@@ -650,7 +650,7 @@ static int memory_stop_fn(void *user, uint64_t done, uint64_t total) {
     return stop;
 }
 
-/* The first ones, then always twice as far; when it has to be quick the first and one in the middle. */
+/* The first ones, then always twice as far; when it has to be quick one in the middle. */
 static uint64_t next_question(uint64_t at, uint64_t most) {
     if (test_quick()) return at == 0 && most > 0 ? (most + 1) / 2 : most + 1;
     return at < 4 ? at + 1 : 2 * at;

@@ -4,6 +4,7 @@
 #include "../voxrt.h"
 #include "../bench/baseline/neighbour.h"
 #if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC push_options
 #  pragma GCC optimize("fp-contract=off") /* private functions are inlined here: as in the header */
 #endif
 
@@ -1522,3 +1523,6 @@ int main(int argc, char **argv) {
     RUN(offset_sweep);
     return test_end();
 }
+#if defined(__GNUC__) && !defined(__clang__)
+#  pragma GCC pop_options
+#endif

@@ -1,7 +1,7 @@
 /* Trees from voxels and rays through them, judged by exact stepping (oracle.h). */
 #include "test.h"
 static int wrong_calls; /* set while a test makes calls that the library asserts against */
-#define VOXRT_ASSERT(cond) ((void)((cond) || wrong_calls || (abort(), 0)))
+#define VOXRT_ASSERT(cond) ((void)((cond) || wrong_calls || (test_fail(__FILE__, __LINE__, "%s", #cond), abort(), 0)))
 #define VOXRT_IMPLEMENTATION
 #include "../voxrt.h"
 #include "oracle.h"

@@ -4,13 +4,13 @@
 #include "zbufrand.h"
 #include "zbufrand_shapes.h"
 
-static zbufrand_error g_error;
+static zbufrand_error g_scene_error;
 
 static zbufrand_scene *scene_open_scene(void) {
     zbufrand_scene_desc d;
     zbufrand_scene *s = NULL;
     memset(&d, 0, sizeof d);
-    d.env.error = &g_error;
+    d.env.error = &g_scene_error;
     d.env.thread_count = 1;
     CHECK_EQ_U64(zbufrand_scene_create(&d, &s), ZBUFRAND_OK);
     if (s == NULL) abort();
@@ -28,7 +28,7 @@ TEST(what_is_in_no_scene) {
     m = mesh_of(&box);
     CHECK_EQ_U64(zbufrand_add_list(s, 99, NULL, 0, &n), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(n, 0);
-    CHECK_EQ_U64(g_error.where, 99);
+    CHECK_EQ_U64(g_scene_error.where, 99);
     CHECK_EQ_U64(zbufrand_add_mesh(s, 0, NULL, 0, NULL, &n), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_add_mesh(s, 1, NULL, 8, &m, &n), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_add_reference(s, 1, NULL, 12345, &n), ZBUFRAND_ERR_INVALID_ARG);
@@ -66,15 +66,15 @@ TEST(lists) {
     CHECK_EQ_U64(zbufrand_add_list(s, 1, NULL, 0, &a), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_add_list(s, a, NULL, 0, &b), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_list_append(s, 1, b), ZBUFRAND_ERR_INVALID_ARG); /* already in one */
-    CHECK_EQ_U64(g_error.where, b);
-    CHECK(strstr(g_error.text, "already") != NULL);
+    CHECK_EQ_U64(g_scene_error.where, b);
+    CHECK(strstr(g_scene_error.text, "already") != NULL);
     CHECK_EQ_U64(zbufrand_list_append(s, b, ZBUFRAND_ROOT), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_list_append(s, 4711, b), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_list_append(s, b, 4711), ZBUFRAND_ERR_INVALID_ARG);
     CHECK_EQ_U64(zbufrand_add_list(s, 0, NULL, 0, &loose), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_add_reference(s, 1, NULL, loose, &r), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_ERR_INVALID_ARG); /* its target is in no list */
-    CHECK_EQ_U64(g_error.where, r);
+    CHECK_EQ_U64(g_scene_error.where, r);
     CHECK_EQ_U64(zbufrand_list_append(s, 1, loose), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK); /* nothing in it, but fine */
     CHECK_EQ_U64(info.triangles, 0);
@@ -90,8 +90,8 @@ TEST(cycles) {
     CHECK_EQ_U64(zbufrand_add_list(s, b, NULL, 0, &c), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_add_reference(s, c, NULL, a, &r), ZBUFRAND_OK);
     CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_INVALID_ARG);
-    CHECK_EQ_U64(g_error.where, r);
-    CHECK(strstr(g_error.text, "cycle") != NULL);
+    CHECK_EQ_U64(g_scene_error.where, r);
+    CHECK(strstr(g_scene_error.text, "cycle") != NULL);
     zbufrand_scene_destroy(s);
     s = scene_open_scene(); /* a list that is put into itself by a detour */
     CHECK_EQ_U64(zbufrand_add_list(s, 0, NULL, 0, &a), ZBUFRAND_OK);
@@ -214,8 +214,8 @@ TEST(full_structures) {
         if (full == 0) to.triangle_count = 0xffffffffu - 11;
         else to.vertex_count = 0xffffffffu - 7;
         CHECK_EQ_U64(zbufrandi_build_piece(&b, &piece), ZBUFRAND_ERR_RANGE);
-        CHECK_EQ_U64(g_error.where, node);
-        CHECK(strstr(g_error.text, "2^32") != NULL);
+        CHECK_EQ_U64(g_scene_error.where, node);
+        CHECK(strstr(g_scene_error.text, "2^32") != NULL);
         if (full == 0) to.triangle_count--;
         else to.vertex_count--;
         CHECK_EQ_U64(zbufrandi_build_piece(&b, &piece), ZBUFRAND_ERR_NO_MEMORY); /* it would fit */
@@ -381,13 +381,13 @@ TEST(nearly_similar) {
         zbufrand_scene_get_info(s, &info);
         CHECK_NEAR(info.area, 72, 1e-3);
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_RANGE);
-        CHECK_EQ_U64(g_error.where, node);
+        CHECK_EQ_U64(g_scene_error.where, node);
         CHECK_EQ_U64(zbufrand_remove(s, list), ZBUFRAND_OK);
         /* too far off, as more than half of the probes are in the middle */
         CHECK_EQ_U64(zbufrand_add_mesh(s, ZBUFRAND_ROOT, &away, ZBUFRAND_OWN_STRUCTURE, &m, &node), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, NULL), ZBUFRAND_ERR_RANGE);
-        CHECK_EQ_U64(g_error.where, node);
-        CHECK(strstr(g_error.text, "1e15") != NULL);
+        CHECK_EQ_U64(g_scene_error.where, node);
+        CHECK(strstr(g_scene_error.text, "1e15") != NULL);
         CHECK_EQ_U64(zbufrand_remove(s, node), ZBUFRAND_OK);
         CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
         CHECK_NEAR(info.area, 72, 1e-3);
@@ -416,8 +416,8 @@ TEST(bad_triangles) {
     memset(&d, 0, sizeof d);
     d.strict = 1;
     CHECK_EQ_U64(zbufrand_scene_build(s, &d, &info), ZBUFRAND_ERR_INVALID_ARG);
-    CHECK_EQ_U64(g_error.where, 1);
-    CHECK(strstr(g_error.text, "triangle 1 of mesh 2: degenerate") == g_error.text);
+    CHECK_EQ_U64(g_scene_error.where, 1);
+    CHECK(strstr(g_scene_error.text, "triangle 1 of mesh 2: degenerate") == g_scene_error.text);
     CHECK_EQ_U64(info.triangles, 0);
     zbufrand_scene_get_info(s, &info);
     CHECK_EQ_U64(info.triangles, 0);
