@@ -2546,6 +2546,13 @@ TETCASTI_INLINE double tetcasti_min(double a, double b) { return a < b ? a : b; 
 TETCASTI_INLINE double tetcasti_max(double a, double b) { return a > b ? a : b; }
 TETCASTI_INLINE double tetcasti_abs(double a) { return a < 0 ? -a : a; }
 TETCASTI_INLINE float tetcasti_absf(float a) { return a < 0 ? -a : a; }
+
+/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and pictures
+   would differ between compilers. */
+TETCASTI_INLINE double tetcasti_rounded(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
 TETCASTI_INLINE float tetcasti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] *
                                                                        b[2]; }
 
@@ -6276,8 +6283,8 @@ TETCASTI_INLINE double tetcasti_ray_make(const tetcasti_box *box, const double o
     const uint8_t *axes = tetcasti_axes[r->group];
     uint32_t k = axes[2], down = r->group & 1u;
     double rx = d[axes[0]] / d[k], ry = d[axes[1]] / d[k]; /* as given: the ray comes to the mesh where it should */
-    double sx = (double)(float)((rx + TETCASTI_SNAP_SLOPE) - TETCASTI_SNAP_SLOPE);
-    double sy = (double)(float)((ry + TETCASTI_SNAP_SLOPE) - TETCASTI_SNAP_SLOPE);
+    double sx = tetcasti_rounded((rx + TETCASTI_SNAP_SLOPE) - TETCASTI_SNAP_SLOPE);
+    double sy = tetcasti_rounded((ry + TETCASTI_SNAP_SLOPE) - TETCASTI_SNAP_SLOPE);
     double lo = (double)box->lo[k], hi = (double)box->hi[k], x = o[axes[0]], y = o[axes[1]], z = o[k], z0, length;
     length = sqrt((1.0 + sx * sx) + sy * sy);
     if (down) length = -length;
@@ -25820,8 +25827,8 @@ static void tetcasti_rbf_spans_open(tetcasti_rbf_picture *t, const tetcasti_rbf_
         if (s->failed) tetcasti_atomic_store(&t->failed, 1u);
         for (i = 0; i < s->count; i++) { /* world -> local, from sample 0 */
             const double scale = (double)g->world[l], start = g->begin[l];
-            s->span[i][0] = (double)(float)((s->span[i][0] - start) / scale);
-            s->span[i][1] = (double)(float)(tetcasti_min(s->span[i][1] - start, 1e30 * scale) / scale);
+            s->span[i][0] = tetcasti_rounded((s->span[i][0] - start) / scale);
+            s->span[i][1] = tetcasti_rounded(tetcasti_min(s->span[i][1] - start, 1e30 * scale) / scale);
         }
     }
 }

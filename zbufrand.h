@@ -8562,19 +8562,21 @@ static void zbufrandi_camera_sides(zbufrandi_camera *c) {
 /* to_camera, scale, structure and so on are there; the rest follows. */
 static void zbufrandi_local_finish(zbufrandi_local *l) {
     const double inverse = 1.0 / ((double)l->scale * (double)l->scale);
+    double held[3]; /* what eye[] holds */
     int a, k;
     for (a = 0; a < 3; a++) {
         double eye = 0.0;
         for (k = 0; k < 3; k++) eye -= l->to_camera[k][a] * l->to_camera[k][3];
         eye *= inverse;
-        l->eye[a] = (float)eye;
-        l->eye_low[a] = (float)(eye - zbufrandi_rounded(eye));
+        held[a] = zbufrandi_rounded(eye);
+        l->eye[a] = (float)held[a];
+        l->eye_low[a] = (float)(eye - held[a]);
     }
     for (a = 0; a < 3; a++) {
         double rest = l->to_camera[a][3];
         for (k = 0; k < 3; k++) {
             l->m[a][k] = (float)l->to_camera[a][k];
-            rest += l->to_camera[a][k] * (double)l->eye[k];
+            rest += l->to_camera[a][k] * held[k];
         }
         l->rest[a] = (float)rest;
     }
