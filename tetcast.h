@@ -2546,6 +2546,8 @@ TETCASTI_INLINE double tetcasti_min(double a, double b) { return a < b ? a : b; 
 TETCASTI_INLINE double tetcasti_max(double a, double b) { return a > b ? a : b; }
 TETCASTI_INLINE double tetcasti_abs(double a) { return a < 0 ? -a : a; }
 TETCASTI_INLINE float tetcasti_absf(float a) { return a < 0 ? -a : a; }
+TETCASTI_INLINE float tetcasti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] *
+                                                                       b[2]; }
 
 /* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and pictures
    would differ between compilers. */
@@ -2553,8 +2555,6 @@ TETCASTI_INLINE double tetcasti_rounded(double x) {
     volatile float f = (float)x;
     return (double)f;
 }
-TETCASTI_INLINE float tetcasti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] *
-                                                                       b[2]; }
 
 /* floor for |x| < 2^62 */
 TETCASTI_INLINE int64_t tetcasti_floor(double x) {

@@ -2220,6 +2220,13 @@ VOXRTI_INLINE float voxrti_absf(float a) { return a < 0 ? -a : a; }
 VOXRTI_INLINE float voxrti_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] *
                                                                        b[2]; }
 
+/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and pictures
+   would differ between compilers. */
+VOXRTI_INLINE double voxrti_rounded(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
+
 /* floor for |x| < 2^62 */
 VOXRTI_INLINE int64_t voxrti_floor(double x) {
     int64_t i = (int64_t)x;
@@ -17827,13 +17834,6 @@ static uint64_t voxrti_edit_mask(const voxrti_edit *e, const uint32_t at[3]) {
             out |= mask & (0u - mask);
     }
     return out;
-}
-
-/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and normals
-   would differ between compilers. */
-VOXRTI_INLINE double voxrti_rounded(double x) {
-    volatile float f = (float)x;
-    return (double)f;
 }
 
 /* The normal of a box or sphere at a voxel. */

@@ -1772,6 +1772,13 @@ ZBUFRANDI_INLINE float zbufrandi_absf(float a) { return a < 0 ? -a : a; }
 ZBUFRANDI_INLINE float zbufrandi_dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] *
                                                                        b[2]; }
 
+/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and pictures
+   would differ between compilers. */
+ZBUFRANDI_INLINE double zbufrandi_rounded(double x) {
+    volatile float f = (float)x;
+    return (double)f;
+}
+
 /* floor for |x| < 2^62 */
 ZBUFRANDI_INLINE int64_t zbufrandi_floor(double x) {
     int64_t i = (int64_t)x;
@@ -3326,13 +3333,6 @@ static void zbufrandi_segment_task(void *ctx, uint32_t task) {
     }
     j->clusters[task] = clusters;
     j->vertices[task] = first_vertex;
-}
-
-/* x as a float holds it. (double)(float)x is x itself to gcc 12 where it makes vectors of two of them, and pictures
-   would differ between compilers. */
-ZBUFRANDI_INLINE double zbufrandi_rounded(double x) {
-    volatile float f = (float)x;
-    return (double)f;
 }
 
 /* Vertex normal -> code of the structure's coordinates. */
