@@ -547,134 +547,177 @@ TEST(voxrt_edits) {
     }
 }
 
-TEST(voxrt_light) {
-    enum { W = 28, H = 20, N = W * H, RAYS = 2000 };
+/* A room of planes with a body that moves and two lights, and what a camera sees of it. */
+enum { GW = 28, GH = 20, GN = GW * GH };
+typedef struct lit_room {
+    const way *w;
+    voxrt_env env;
+    voxrt_gi *gi;
+    voxrt_gi_object moving;
+    uint32_t id;
+    voxrt_camera camera;
+    voxrt_gbuffer g;
+    float position[3 * GN], normal[3 * GN], albedo[3 * GN], direct[3 * GN], indirect[3 * GN];
+} lit_room;
+
+static void lit_room_fill(lit_room *s, const body *b) { /* the objects */
     static const float room[8][3] = {{-1, -1, -1}, {1, -1, -1}, {-1, 1, -1}, {1, 1, -1}, {-1, -1, 1}, {1, -1, 1}, {-1, 1, 1}, {1, 1, 1}};
     static const uint32_t wall[10][3] = {{0, 1, 5}, {0, 5, 4}, {2, 7, 3}, {2, 6, 7}, {0, 6, 2}, {0, 4, 6}, {1, 3, 7}, {1, 7, 5}, {0, 2, 3}, {0, 3, 1}};
     static const uint8_t paint[10][3] = {{200, 200, 200}, {200, 200, 200}, {220, 220, 220}, {220, 220, 220}, {220, 40, 30}, {220, 40, 30},
                                          {40, 200, 60}, {40, 200, 60}, {180, 180, 200}, {180, 180, 200}};
-    static body b;
-    static float position[3 * N], normal[3 * N], albedo[3 * N], direct[3 * N], indirect[3 * N];
+    voxrt_gi_object o;
+    memset(&o, 0, sizeof o);
+    o.mesh.positions = room[0];
+    o.mesh.vertex_count = 8;
+    o.mesh.indices = wall[0];
+    o.mesh.triangle_count = 10;
+    o.mesh.triangle_rgb = paint[0];
+    o.still = 1;
+    CHECK(voxrt_gi_add(s->gi, &o, NULL) == VOXRT_OK);
+    o.mesh = voxel_mesh(b);
+    o.material.specular[0] = 0.25f;
+    o.material.exponent = 20;
+    o.still = 0;
+    o.to_world[0] = o.to_world[5] = o.to_world[10] = 0.5;
+    o.to_world[3] = 0.125;
+    o.to_world[7] = -0.375;
+    CHECK(voxrt_gi_add(s->gi, &o, &s->id) == VOXRT_OK);
+    s->moving = o;
+}
+
+static void lit_room_light(lit_room *s) {
+    voxrt_gi_light light[2];
+    memset(light, 0, sizeof light);
+    light[0].kind = VOXRT_GI_POINT;
+    light[0].position[1] = 0.875f;
+    light[0].position[2] = 0.5f;
+    light[0].color[0] = light[0].color[1] = light[0].color[2] = 2;
+    light[1].kind = VOXRT_GI_AREA;
+    light[1].position[0] = -0.5f;
+    light[1].position[1] = 0.75f;
+    light[1].edge_u[0] = 0.25f;
+    light[1].edge_v[2] = 0.25f;
+    light[1].color[0] = 4;
+    CHECK(voxrt_gi_set_lights(s->gi, light, 2) == VOXRT_OK);
+}
+
+static int lit_room_make(lit_room *s, const body *b, const way *w) {
+    voxrt_gi_desc d;
+    uint32_t i;
+    memset(s, 0, sizeof *s);
+    s->w = w;
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = w->threads;
+    d.columns.size_x = d.columns.size_y = 32;
+    d.columns.size_z = 64;
+    d.columns.depth_axis_plus_1 = 3;
+    for (i = 0; i < 3; i++) {
+        d.columns.box_min[i] = -1.0625;
+        d.columns.box_max[i] = 1.0625;
+    }
+    s->env = d.env;
+    if (voxrt_gi_create(&d, &s->gi) != VOXRT_OK) return 0;
+    lit_room_fill(s, b);
+    lit_room_light(s);
+    s->camera.eye[0] = 0.25f;
+    s->camera.eye[2] = 3;
+    s->g.width = GW;
+    s->g.height = GH;
+    s->g.position = s->position;
+    s->g.normal = s->normal;
+    s->g.albedo = s->albedo;
+    return 1;
+}
+
+static uint64_t put_lit(uint64_t h, lit_room *s, voxrt_gi_render_desc *r) { /* the light that a way of computing it finds */
+    r->env = s->env;
+    r->isa = (voxrt_isa)s->w->isa;
+    r->camera = s->camera;
+    CHECK(voxrt_gi_render(r, s->gi, &s->g, s->direct, s->indirect, NULL) == VOXRT_OK);
+    return put_floats(put_floats(h, s->direct, 3 * GN), s->indirect, 3 * GN);
+}
+
+static void lit_frames(lit_room *s) { /* the body moves between two of them */
+    voxrt_gi_history *history = NULL;
+    voxrt_gi_report report;
+    voxrt_gi_render_desc r;
+    uint32_t frame;
+    uint64_t h = 0;
+    CHECK(voxrt_gi_history_create(&s->env, &history) == VOXRT_OK);
+    for (frame = 0; frame < 2; frame++) {
+        REQUIRE(voxrt_gi_update(s->gi, NULL) == VOXRT_OK);
+        REQUIRE(voxrt_gbuffer_from_gi(&s->env, &s->camera, s->gi, &s->g) == VOXRT_OK);
+        h = put_floats(put_floats(put_floats(h, s->position, 3 * GN), s->normal, 3 * GN), s->albedo, 3 * GN);
+        memset(&r, 0, sizeof r);
+        r.rays = 4;
+        r.first_ray = 4 * frame;
+        r.filter = 2;
+        r.coarse = 2;
+        r.history = history;
+        r.report = &report;
+        h = put_lit(h, s, &r);
+        CHECK(voxrt_gi_bounce(s->gi, &s->env, 4, 0, frame) == VOXRT_OK);
+        s->moving.to_world[3] += 0.0625;
+        CHECK(voxrt_gi_set(s->gi, s->id, &s->moving) == VOXRT_OK);
+    }
+    is_golden(GOLDEN_VOXRT_GI_FRAMES, h, s->w);
+    REQUIRE(voxrt_gi_update(s->gi, NULL) == VOXRT_OK);
+    voxrt_gi_history_destroy(history);
+}
+
+static void lit_columns(const lit_room *s) { /* rays into the columns */
+    enum { RAYS = 2000 };
     static voxrt_ray rays[RAYS];
     static voxrt_column_hit hits[RAYS];
     static uint8_t occluded[RAYS];
-    voxrt_gbuffer g;
+    voxrt_columns_trace_desc ct;
+    uint32_t i;
+    uint64_t h = 0;
+    some_rays(rays, RAYS);
+    memset(&ct, 0, sizeof ct);
+    ct.isa = (voxrt_isa)s->w->isa;
+    REQUIRE(voxrt_columns_trace(voxrt_gi_columns(s->gi), &ct, rays, hits, RAYS) == VOXRT_OK);
+    REQUIRE(voxrt_columns_occluded(voxrt_gi_columns(s->gi), &ct, rays, occluded, RAYS) == VOXRT_OK);
+    for (i = 0; i < RAYS; i++) h = put_u32(put_u32s(put_floats(h, &hits[i].t, 1), hits[i].cell, 3), hits[i].face);
+    is_golden(GOLDEN_VOXRT_COLUMN_HITS, test_fnv1a(occluded, RAYS, h), s->w);
+}
+
+static void lit_ways(lit_room *s) { /* the other ways, and tones of the last one's picture */
+    uint32_t way_no, i;
+    uint64_t h = 0;
+    for (way_no = 0; way_no < 4; way_no++) {
+        voxrt_gi_render_desc r;
+        memset(&r, 0, sizeof r);
+        r.method = way_no == 0 ? VOXRT_GI_PATH : way_no == 1 ? VOXRT_GI_AO : way_no == 2 ? VOXRT_GI_VPL : VOXRT_GI_GATHER;
+        r.rays = 2;
+        r.bounces = way_no == 0 ? 2 : 1;
+        r.radius = way_no == 1 ? 0.5f : 0;
+        r.lookup = way_no == 3 ? VOXRT_GI_LOOKUP_MAPS : VOXRT_GI_LOOKUP_CACHE;
+        r.map_size = 32;
+        r.direct_filter = 1;
+        h = put_lit(h, s, &r);
+    }
+    is_golden(GOLDEN_VOXRT_GI_WAYS, h, s->w);
+    for (i = 0, h = 0; i < 3; i++) {
+        CHECK(voxrt_tone_map((voxrt_tone)i, 2, s->direct, s->direct, GN) == VOXRT_OK);
+        h = put_floats(h, s->direct, 3 * GN);
+    }
+    is_golden(GOLDEN_VOXRT_TONES, h, s->w);
+}
+
+TEST(voxrt_light) {
+    static body b;
+    static lit_room s;
     way w[5];
-    uint32_t k, i, frame;
+    uint32_t k;
     const uint32_t n = ways((uint32_t)voxrt_isa_best(), w);
     body_make(&b);
-    some_rays(rays, RAYS);
-    memset(&g, 0, sizeof g);
-    g.width = W;
-    g.height = H;
-    g.position = position;
-    g.normal = normal;
-    g.albedo = albedo;
     for (k = 0; k < n; k++) {
-        voxrt_gi_desc d;
-        voxrt_gi *gi = NULL;
-        voxrt_gi_history *history = NULL;
-        voxrt_gi_object o;
-        voxrt_gi_light light[2];
-        voxrt_camera camera;
-        voxrt_columns_trace_desc ct;
-        voxrt_gi_render_desc r;
-        voxrt_gi_report report;
-        uint32_t id, way_no;
-        uint64_t h = 0;
-        memset(&d, 0, sizeof d);
-        d.env.thread_count = w[k].threads;
-        d.columns.size_x = d.columns.size_y = 32;
-        d.columns.size_z = 64;
-        d.columns.depth_axis_plus_1 = 3;
-        for (i = 0; i < 3; i++) {
-            d.columns.box_min[i] = -1.0625;
-            d.columns.box_max[i] = 1.0625;
-        }
-        REQUIRE(voxrt_gi_create(&d, &gi) == VOXRT_OK);
-        memset(&o, 0, sizeof o);
-        o.mesh.positions = room[0];
-        o.mesh.vertex_count = 8;
-        o.mesh.indices = wall[0];
-        o.mesh.triangle_count = 10;
-        o.mesh.triangle_rgb = paint[0];
-        o.still = 1;
-        CHECK(voxrt_gi_add(gi, &o, NULL) == VOXRT_OK);
-        o.mesh = voxel_mesh(&b);
-        o.material.specular[0] = 0.25f;
-        o.material.exponent = 20;
-        o.still = 0;
-        o.to_world[0] = o.to_world[5] = o.to_world[10] = 0.5;
-        o.to_world[3] = 0.125;
-        o.to_world[7] = -0.375;
-        CHECK(voxrt_gi_add(gi, &o, &id) == VOXRT_OK);
-        memset(light, 0, sizeof light);
-        light[0].kind = VOXRT_GI_POINT;
-        light[0].position[1] = 0.875f;
-        light[0].position[2] = 0.5f;
-        light[0].color[0] = light[0].color[1] = light[0].color[2] = 2;
-        light[1].kind = VOXRT_GI_AREA;
-        light[1].position[0] = -0.5f;
-        light[1].position[1] = 0.75f;
-        light[1].edge_u[0] = 0.25f;
-        light[1].edge_v[2] = 0.25f;
-        light[1].color[0] = 4;
-        CHECK(voxrt_gi_set_lights(gi, light, 2) == VOXRT_OK);
-        CHECK(voxrt_gi_history_create(&d.env, &history) == VOXRT_OK);
-        memset(&camera, 0, sizeof camera);
-        camera.eye[0] = 0.25f;
-        camera.eye[2] = 3;
-        for (frame = 0; frame < 2; frame++) {
-            REQUIRE(voxrt_gi_update(gi, NULL) == VOXRT_OK);
-            REQUIRE(voxrt_gbuffer_from_gi(&d.env, &camera, gi, &g) == VOXRT_OK);
-            h = put_floats(put_floats(put_floats(h, position, 3 * N), normal, 3 * N), albedo, 3 * N);
-            memset(&r, 0, sizeof r);
-            r.env = d.env;
-            r.isa = (voxrt_isa)w[k].isa;
-            r.camera = camera;
-            r.rays = 4;
-            r.first_ray = 4 * frame;
-            r.filter = 2;
-            r.coarse = 2;
-            r.history = history;
-            r.report = &report;
-            REQUIRE(voxrt_gi_render(&r, gi, &g, direct, indirect, NULL) == VOXRT_OK);
-            h = put_floats(put_floats(h, direct, 3 * N), indirect, 3 * N);
-            CHECK(voxrt_gi_bounce(gi, &d.env, 4, 0, frame) == VOXRT_OK);
-            o.to_world[3] += 0.0625;
-            CHECK(voxrt_gi_set(gi, id, &o) == VOXRT_OK);
-        }
-        is_golden(GOLDEN_VOXRT_GI_FRAMES, h, &w[k]);
-        REQUIRE(voxrt_gi_update(gi, NULL) == VOXRT_OK);
-        memset(&ct, 0, sizeof ct);
-        ct.isa = (voxrt_isa)w[k].isa;
-        REQUIRE(voxrt_columns_trace(voxrt_gi_columns(gi), &ct, rays, hits, RAYS) == VOXRT_OK);
-        REQUIRE(voxrt_columns_occluded(voxrt_gi_columns(gi), &ct, rays, occluded, RAYS) == VOXRT_OK);
-        for (i = 0, h = 0; i < RAYS; i++) h = put_u32(put_u32s(put_floats(h, &hits[i].t, 1), hits[i].cell, 3), hits[i].face);
-        is_golden(GOLDEN_VOXRT_COLUMN_HITS, test_fnv1a(occluded, RAYS, h), &w[k]);
-        for (way_no = 0, h = 0; way_no < 4; way_no++) {
-            memset(&r, 0, sizeof r);
-            r.env = d.env;
-            r.isa = (voxrt_isa)w[k].isa;
-            r.camera = camera;
-            r.method = way_no == 0 ? VOXRT_GI_PATH : way_no == 1 ? VOXRT_GI_AO : way_no == 2 ? VOXRT_GI_VPL : VOXRT_GI_GATHER;
-            r.rays = 2;
-            r.bounces = way_no == 0 ? 2 : 1;
-            r.radius = way_no == 1 ? 0.5f : 0;
-            r.lookup = way_no == 3 ? VOXRT_GI_LOOKUP_MAPS : VOXRT_GI_LOOKUP_CACHE;
-            r.map_size = 32;
-            r.direct_filter = 1;
-            REQUIRE(voxrt_gi_render(&r, gi, &g, direct, indirect, NULL) == VOXRT_OK);
-            h = put_floats(put_floats(h, direct, 3 * N), indirect, 3 * N);
-        }
-        is_golden(GOLDEN_VOXRT_GI_WAYS, h, &w[k]);
-        for (i = 0, h = 0; i < 3; i++) {
-            CHECK(voxrt_tone_map((voxrt_tone)i, 2, direct, direct, N) == VOXRT_OK);
-            h = put_floats(h, direct, 3 * N);
-        }
-        is_golden(GOLDEN_VOXRT_TONES, h, &w[k]);
-        voxrt_gi_history_destroy(history);
-        voxrt_gi_destroy(gi);
+        REQUIRE(lit_room_make(&s, &b, &w[k]));
+        lit_frames(&s);
+        lit_columns(&s);
+        lit_ways(&s);
+        voxrt_gi_destroy(s.gi);
     }
 }
 
@@ -838,126 +881,145 @@ static void some_samples(zbufrand_sample *s, uint32_t n, uint64_t seed) { /* two
     }
 }
 
-TEST(zbufrand_reconstruction) {
-    enum { SAMPLES = 2500 };
-    static zbufrand_sample s[SAMPLES];
-    static float rgba[4 * ZN], depth[ZN], coverage[2 * ZN];
-    static uint32_t number[ZN];
+/* Samples, and a picture that is made of them. */
+enum { SAMPLES = 2500 };
+typedef struct sampled {
+    const way *w;
+    zbufrand_sample s[SAMPLES];
+    float rgba[4 * ZN], depth[ZN];
+    uint32_t number[ZN];
+} sampled;
+
+static void sampled_resolve(sampled *p, zbufrand_canvas_desc *d, uint32_t clear) { /* all samples through a canvas */
+    zbufrand_picture picture;
+    zbufrand_source source;
+    zbufrand_canvas *canvas = NULL;
+    memset(&picture, 0, sizeof picture);
+    picture.rgba = p->rgba;
+    picture.depth = p->depth;
+    picture.number = p->number;
+    memset(&source, 0, sizeof source);
+    source.shade_fn = zbufrand_samples_shade;
+    source.surface_fn = zbufrand_samples_surface;
+    source.user = p->s;
+    d->env.thread_count = p->w->threads;
+    d->isa = (zbufrand_isa)p->w->isa;
+    d->width = ZW;
+    d->height = ZH;
+    REQUIRE(zbufrand_canvas_create(d, &canvas) == ZBUFRAND_OK);
+    zbufrand_canvas_clear(canvas, clear);
+    REQUIRE(zbufrand_canvas_submit(canvas, p->s, SAMPLES, 0, NULL) == ZBUFRAND_OK);
+    REQUIRE(zbufrand_canvas_resolve(canvas, &source, &picture, NULL) == ZBUFRAND_OK);
+    zbufrand_canvas_destroy(canvas);
+}
+
+static void sampled_fills(sampled *p) { /* tests of occlusion and fills in their pairs */
+    uint32_t fill, occlusion;
+    uint64_t h = 0;
+    for (occlusion = 0; occlusion <= ZBUFRAND_OCCLUSION_SQUARES_ALL; occlusion++)
+        for (fill = 0; fill <= ZBUFRAND_FILL_REGIONS; fill++) {
+            zbufrand_canvas_desc d;
+            if (occlusion != 0 && occlusion != 2 && fill != 1 && fill != 4) continue;
+            memset(&d, 0, sizeof d);
+            d.reconstruct.block = 1 + (occlusion + fill) % 3;
+            d.reconstruct.occlusion = (zbufrand_occlusion)occlusion;
+            d.reconstruct.fill = (zbufrand_fill)fill;
+            d.reconstruct.drop_back = fill == 3;
+            d.reconstruct.plane_depth = occlusion == 0 && fill == 2;
+            d.reconstruct.repair = fill == 0;
+            d.bucket_bits = fill == 5 ? 4 : 0;
+            sampled_resolve(p, &d, 5);
+            h = put_u32s(put_floats(put_floats(h, p->rgba, 4 * ZN), p->depth, ZN), p->number, ZN);
+        }
+    is_golden(GOLDEN_ZBUFRAND_FILLS, h, p->w);
+}
+
+static void sampled_accumulated(sampled *p) { /* four frames of it, which a camera shifts */
+    uint32_t i;
+    uint64_t h = 0;
+    for (i = 0; i < 3; i++) {
+        zbufrand_accumulator_desc ad;
+        zbufrand_accumulator *a = NULL;
+        zbufrand_noise noise;
+        zbufrand_view view;
+        uint32_t frame;
+        memset(&ad, 0, sizeof ad);
+        ad.env.thread_count = p->w->threads;
+        ad.width = ZW;
+        ad.height = ZH;
+        ad.mode = (zbufrand_accumulation)i;
+        ad.blur = i == 1 ? 2.0f : 0;
+        memset(&view, 0, sizeof view);
+        view.world_to_camera[0][0] = view.world_to_camera[1][1] = view.world_to_camera[2][2] = 1;
+        view.focal = 50;
+        view.center_x = (double)ZW / 2;
+        view.center_y = (double)ZH / 2;
+        view.near_z = 0.125;
+        REQUIRE(zbufrand_accumulator_create(&ad, &a) == ZBUFRAND_OK);
+        for (frame = 0; frame < 4; frame++) {
+            view.world_to_camera[0][3] = frame / 32.0;
+            p->rgba[4 * (40 + ZW * 20) + frame] = 0.75f;
+            REQUIRE(zbufrand_accumulator_add(a, p->rgba, p->depth, &view) == ZBUFRAND_OK);
+        }
+        CHECK(zbufrand_accumulator_noise(a, 0, &noise) == ZBUFRAND_OK);
+        h = put_doubles(put_doubles(h, &noise.rmse, 1), &noise.frames, 1);
+        CHECK(zbufrand_accumulator_get(a, i == 0 ? -1.0f : 1.25f, p->rgba) == ZBUFRAND_OK);
+        h = put_floats(h, p->rgba, 4 * ZN);
+        zbufrand_accumulator_destroy(a);
+    }
+    is_golden(GOLDEN_ZBUFRAND_ACCUMULATED, h, p->w);
+}
+
+static void sampled_mended(sampled *p) { /* what is wrong in it */
     static zbufrand_suspect suspects[ZN];
+    zbufrand_suspect_desc sd;
+    size_t count = 0, i;
+    uint64_t h = 0;
+    memset(&sd, 0, sizeof sd);
+    sd.env.thread_count = p->w->threads;
+    sd.isa = (zbufrand_isa)p->w->isa;
+    sd.width = ZW;
+    sd.height = ZH;
+    REQUIRE(zbufrand_find_suspects(&sd, p->depth, suspects, ZN, &count) == ZBUFRAND_OK);
+    CHECK(count > 20);
+    for (i = 0; i < count; i++) h = put_u32(put_u32(h, suspects[i].pixel), suspects[i].kind);
+    REQUIRE(zbufrand_mend(&sd, p->rgba, p->depth, suspects, count) == ZBUFRAND_OK);
+    is_golden(GOLDEN_ZBUFRAND_MENDED, put_floats(put_floats(h, p->rgba, 4 * ZN), p->depth, ZN), p->w);
+}
+
+static void sampled_layers(sampled *p) { /* its samples, one layer after another */
+    static float coverage[2 * ZN];
+    zbufrand_layers_desc ld;
+    zbufrand_layers *layers = NULL;
+    memset(&ld, 0, sizeof ld);
+    ld.env.thread_count = p->w->threads;
+    ld.width = ZW;
+    ld.height = ZH;
+    ld.density = 0.75f;
+    REQUIRE(zbufrand_layers_create(&ld, &layers) == ZBUFRAND_OK);
+    do {
+        CHECK(zbufrand_layers_submit(layers, p->s, SAMPLES) == ZBUFRAND_OK);
+    } while (zbufrand_layers_next(layers));
+    CHECK(zbufrand_layers_resolve(layers, p->rgba, coverage) == ZBUFRAND_OK);
+    is_golden(GOLDEN_ZBUFRAND_LAYERS, put_floats(put_floats(0, p->rgba, 4 * ZN), coverage, 2 * ZN), p->w);
+    zbufrand_layers_destroy(layers);
+}
+
+TEST(zbufrand_reconstruction) {
+    static sampled p;
     way w[5];
-    uint32_t k, i, fill, occlusion;
+    uint32_t k;
     const uint32_t n = ways((uint32_t)zbufrand_isa_best(), w);
     for (k = 0; k < n; k++) {
-        zbufrand_picture picture;
-        zbufrand_source source;
-        zbufrand_suspect_desc sd;
-        zbufrand_layers_desc ld;
-        zbufrand_layers *layers = NULL;
-        zbufrand_accumulator_desc ad;
-        size_t count = 0;
-        uint64_t h = 0;
-        some_samples(s, SAMPLES, 4);
-        memset(&picture, 0, sizeof picture);
-        picture.rgba = rgba;
-        picture.depth = depth;
-        picture.number = number;
-        memset(&source, 0, sizeof source);
-        source.shade_fn = zbufrand_samples_shade;
-        source.surface_fn = zbufrand_samples_surface;
-        source.user = s;
-        for (occlusion = 0; occlusion <= ZBUFRAND_OCCLUSION_SQUARES_ALL; occlusion++)
-            for (fill = 0; fill <= ZBUFRAND_FILL_REGIONS; fill++) {
-                zbufrand_canvas_desc d;
-                zbufrand_canvas *canvas = NULL;
-                if (occlusion != 0 && occlusion != 2 && fill != 1 && fill != 4) continue;
-                memset(&d, 0, sizeof d);
-                d.env.thread_count = w[k].threads;
-                d.isa = (zbufrand_isa)w[k].isa;
-                d.width = ZW;
-                d.height = ZH;
-                d.reconstruct.block = 1 + (occlusion + fill) % 3;
-                d.reconstruct.occlusion = (zbufrand_occlusion)occlusion;
-                d.reconstruct.fill = (zbufrand_fill)fill;
-                d.reconstruct.drop_back = fill == 3;
-                d.reconstruct.plane_depth = occlusion == 0 && fill == 2;
-                d.reconstruct.repair = fill == 0;
-                d.bucket_bits = fill == 5 ? 4 : 0;
-                REQUIRE(zbufrand_canvas_create(&d, &canvas) == ZBUFRAND_OK);
-                zbufrand_canvas_clear(canvas, 5);
-                REQUIRE(zbufrand_canvas_submit(canvas, s, SAMPLES, 0, NULL) == ZBUFRAND_OK);
-                REQUIRE(zbufrand_canvas_resolve(canvas, &source, &picture, NULL) == ZBUFRAND_OK);
-                h = put_u32s(put_floats(put_floats(h, rgba, 4 * ZN), depth, ZN), number, ZN);
-                zbufrand_canvas_destroy(canvas);
-            }
-        is_golden(GOLDEN_ZBUFRAND_FILLS, h, &w[k]);
-
-        {   /* the nearest sample alone, for what is found and mended in it, and added up */
-            zbufrand_canvas_desc d;
-            zbufrand_canvas *canvas = NULL;
-            memset(&d, 0, sizeof d);
-            d.env.thread_count = w[k].threads;
-            d.isa = (zbufrand_isa)w[k].isa;
-            d.width = ZW;
-            d.height = ZH;
-            REQUIRE(zbufrand_canvas_create(&d, &canvas) == ZBUFRAND_OK);
-            zbufrand_canvas_clear(canvas, 0);
-            REQUIRE(zbufrand_canvas_submit(canvas, s, SAMPLES, 0, NULL) == ZBUFRAND_OK);
-            REQUIRE(zbufrand_canvas_resolve(canvas, &source, &picture, NULL) == ZBUFRAND_OK);
-            zbufrand_canvas_destroy(canvas);
-        }
-        for (i = 0, h = 0; i < 3; i++) {
-            zbufrand_accumulator *a = NULL;
-            zbufrand_noise noise;
-            zbufrand_view view;
-            uint32_t frame;
-            memset(&ad, 0, sizeof ad);
-            ad.env.thread_count = w[k].threads;
-            ad.width = ZW;
-            ad.height = ZH;
-            ad.mode = (zbufrand_accumulation)i;
-            ad.blur = i == 1 ? 2.0f : 0;
-            memset(&view, 0, sizeof view);
-            view.world_to_camera[0][0] = view.world_to_camera[1][1] = view.world_to_camera[2][2] = 1;
-            view.focal = 50;
-            view.center_x = (double)ZW / 2;
-            view.center_y = (double)ZH / 2;
-            view.near_z = 0.125;
-            REQUIRE(zbufrand_accumulator_create(&ad, &a) == ZBUFRAND_OK);
-            for (frame = 0; frame < 4; frame++) {
-                view.world_to_camera[0][3] = frame / 32.0;
-                rgba[4 * (40 + ZW * 20) + frame] = 0.75f;
-                REQUIRE(zbufrand_accumulator_add(a, rgba, depth, &view) == ZBUFRAND_OK);
-            }
-            CHECK(zbufrand_accumulator_noise(a, 0, &noise) == ZBUFRAND_OK);
-            h = put_doubles(put_doubles(h, &noise.rmse, 1), &noise.frames, 1);
-            CHECK(zbufrand_accumulator_get(a, i == 0 ? -1.0f : 1.25f, rgba) == ZBUFRAND_OK);
-            h = put_floats(h, rgba, 4 * ZN);
-            zbufrand_accumulator_destroy(a);
-        }
-        is_golden(GOLDEN_ZBUFRAND_ACCUMULATED, h, &w[k]);
-        memset(&sd, 0, sizeof sd);
-        sd.env.thread_count = w[k].threads;
-        sd.isa = (zbufrand_isa)w[k].isa;
-        sd.width = ZW;
-        sd.height = ZH;
-        REQUIRE(zbufrand_find_suspects(&sd, depth, suspects, ZN, &count) == ZBUFRAND_OK);
-        CHECK(count > 20);
-        for (i = 0, h = 0; i < count; i++) h = put_u32(put_u32(h, suspects[i].pixel), suspects[i].kind);
-        REQUIRE(zbufrand_mend(&sd, rgba, depth, suspects, count) == ZBUFRAND_OK);
-        is_golden(GOLDEN_ZBUFRAND_MENDED, put_floats(put_floats(h, rgba, 4 * ZN), depth, ZN), &w[k]);
-
-        memset(&ld, 0, sizeof ld);
-        ld.env.thread_count = w[k].threads;
-        ld.width = ZW;
-        ld.height = ZH;
-        ld.density = 0.75f;
-        REQUIRE(zbufrand_layers_create(&ld, &layers) == ZBUFRAND_OK);
-        do {
-            CHECK(zbufrand_layers_submit(layers, s, SAMPLES) == ZBUFRAND_OK);
-        } while (zbufrand_layers_next(layers));
-        CHECK(zbufrand_layers_resolve(layers, rgba, coverage) == ZBUFRAND_OK);
-        is_golden(GOLDEN_ZBUFRAND_LAYERS, put_floats(put_floats(0, rgba, 4 * ZN), coverage, 2 * ZN), &w[k]);
-        zbufrand_layers_destroy(layers);
+        zbufrand_canvas_desc d;
+        p.w = &w[k];
+        some_samples(p.s, SAMPLES, 4);
+        sampled_fills(&p);
+        memset(&d, 0, sizeof d); /* the nearest sample alone, for what is found and mended in it, and added up */
+        sampled_resolve(&p, &d, 0);
+        sampled_accumulated(&p);
+        sampled_mended(&p);
+        sampled_layers(&p);
     }
 }
 
@@ -1085,299 +1147,379 @@ static void stripes(void *user, const tetcast_packet *in, float rgba[4][8]) { /*
     }
 }
 
+/* A mesh, how to look at it, and the picture. */
+typedef struct tet_view {
+    const way *w;
+    tetcast_mesh *mesh;
+    tetcast_render_desc d;
+    tet_picture p;
+} tet_view;
+
+static void tet_view_start(tet_view *s) { /* by walking from outside */
+    memset(&s->d, 0, sizeof s->d);
+    s->d.env.thread_count = s->w->threads;
+    s->d.isa = (tetcast_isa)s->w->isa;
+    s->d.method = TETCAST_METHOD_WALK;
+}
+
+static uint64_t put_tets(uint64_t h, tet_view *s, const tetcast_optics *o) {
+    const tetcast_image image = tet_image(&s->p);
+    CHECK(o != NULL && tetcast_render(&s->d, s->mesh, o, &image, NULL) == TETCAST_OK);
+    return tet_hash(&s->p, h);
+}
+
+static void mesh_methods(tet_view *s) {
+    tetcast_optics *o = optics_make(TETCAST_MODEL_VOLUME, TETCAST_INTEGRATOR_EXACT, s->w->threads);
+    s->d.background[0] = 0.25f;
+    s->d.background[3] = 1;
+    is_golden(GOLDEN_TETCAST_WALKED, put_tets(0, s, o), s->w);
+    s->d.method = TETCAST_METHOD_PROJECT;
+    is_golden(GOLDEN_TETCAST_PROJECTED, put_tets(0, s, o), s->w);
+    tetcast_optics_destroy(o);
+}
+
+static void mesh_models(tet_view *s) { /* near by and from within */
+    uint32_t i;
+    uint64_t h = 0;
+    s->d.camera.eye[0] = 11;
+    s->d.camera.eye[1] = 4;
+    s->d.camera.eye[2] = 2;
+    for (i = TETCAST_MODEL_EMISSION; i <= TETCAST_MODEL_MIXED; i++) {
+        tetcast_optics *o = optics_make((tetcast_model)i, TETCAST_INTEGRATOR_EXACT, s->w->threads);
+        s->d.method = i & 1 ? TETCAST_METHOD_WALK : TETCAST_METHOD_PROJECT;
+        s->d.smooth_normals = i == TETCAST_MODEL_MIXED;
+        h = put_tets(h, s, o);
+        if (i == TETCAST_MODEL_ISOSURFACE) {
+            s->d.method = TETCAST_METHOD_WALK;
+            h = put_tets(h, s, o);
+        }
+        tetcast_optics_destroy(o);
+    }
+    is_golden(GOLDEN_TETCAST_MODELS, h, s->w);
+}
+
+static void mesh_integrators(tet_view *s) {
+    uint32_t i;
+    uint64_t h = 0;
+    s->d.method = TETCAST_METHOD_WALK;
+    s->d.smooth_normals = 0;
+    s->d.camera.eye[0] = 3;
+    for (i = TETCAST_INTEGRATOR_PSI_TABLE; i < TETCAST_INTEGRATOR_COUNT; i++) {
+        tetcast_optics *o = optics_make(TETCAST_MODEL_VOLUME, (tetcast_integrator)i, s->w->threads);
+        h = put_tets(h, s, o);
+        tetcast_optics_destroy(o);
+    }
+    is_golden(GOLDEN_TETCAST_INTEGRATORS, h, s->w);
+}
+
+static void mesh_shaded(tet_view *s) { /* by a function of the caller's, clipped */
+    tetcast_shade_desc sd;
+    tetcast_shader shader;
+    tetcast_clip_desc cd;
+    tetcast_clip_plane plane;
+    tetcast_clip *clip = NULL;
+    const tetcast_image image = tet_image(&s->p);
+    memset(&shader, 0, sizeof shader);
+    shader.needs = TETCAST_NEED_GRADIENT;
+    shader.shade_fn = stripes;
+    memset(&plane, 0, sizeof plane);
+    plane.normal[0] = 1;
+    plane.normal[1] = 0.5;
+    plane.offset = 2;
+    memset(&cd, 0, sizeof cd);
+    cd.env.thread_count = 1;
+    cd.planes = &plane;
+    cd.plane_count = 1;
+    REQUIRE(tetcast_clip_create(&cd, &clip) == TETCAST_OK);
+    memset(&sd, 0, sizeof sd);
+    sd.env.thread_count = s->w->threads;
+    sd.clip = clip;
+    sd.shader = &shader;
+    REQUIRE(tetcast_render_shaded(&sd, s->mesh, NULL, &image, NULL) == TETCAST_OK);
+    is_golden(GOLDEN_TETCAST_SHADED, tet_hash(&s->p, 0), s->w);
+    tetcast_clip_destroy(clip);
+}
+
+static void mesh_surface(const tet_view *s) { /* of one value */
+    tetcast_surface_desc fd;
+    tetcast_surface surface;
+    uint64_t h;
+    memset(&fd, 0, sizeof fd);
+    fd.env.thread_count = s->w->threads;
+    fd.isovalue = 0.5f;
+    fd.normals = fd.cells = 1;
+    REQUIRE(tetcast_isosurface(&fd, s->mesh, &surface) == TETCAST_OK && surface.triangle_count > 100);
+    h = put_floats(put_doubles(0, surface.origin, 3), surface.positions, 3 * (size_t)surface.vertex_count);
+    h = put_floats(h, surface.normals, 3 * (size_t)surface.vertex_count);
+    h = put_u32s(put_u32s(h, surface.indices, 3 * (size_t)surface.triangle_count), surface.cells, surface.triangle_count);
+    is_golden(GOLDEN_TETCAST_SURFACE, h, s->w);
+    tetcast_surface_free(&surface);
+}
+
+static void mesh_cells(tet_view *s, const tets *m) { /* all kinds show the same; in another order last bits differ */
+    tetcast_optics *o = optics_make(TETCAST_MODEL_VOLUME, TETCAST_INTEGRATOR_EXACT, 1);
+    uint32_t i;
+    tet_view_start(s);
+    for (i = 0; i <= TETCAST_CELLS_COUNT; i++) {
+        const int morton = i == TETCAST_CELLS_COUNT;
+        tetcast_mesh_desc md;
+        memset(&md, 0, sizeof md);
+        md.env.thread_count = s->w->threads;
+        md.cells = morton ? TETCAST_CELLS_TET16 : (tetcast_cells)i;
+        md.order = morton ? TETCAST_ORDER_MORTON : TETCAST_ORDER_HILBERT;
+        s->mesh = tets_build_desc(m, &md, NULL);
+        REQUIRE(s->mesh != NULL);
+        is_golden(morton ? GOLDEN_TETCAST_MORTON : GOLDEN_TETCAST_CELLS, put_tets(0, s, o), s->w);
+        tetcast_mesh_destroy(s->mesh);
+    }
+    tetcast_optics_destroy(o);
+}
+
 TEST(tetcast_meshes) {
-    static tet_picture p;
+    static tet_view s;
     tets m;
     way w[5];
-    uint32_t k, i;
+    uint32_t k;
     const uint32_t n = ways((uint32_t)tetcast_isa_best(), w);
     lattice_make(&m);
     for (k = 0; k < n; k++) {
         tetcast_mesh_desc md;
-        tetcast_mesh *mesh;
-        tetcast_render_desc d;
-        tetcast_shade_desc sd;
-        tetcast_shader shader;
-        tetcast_clip_desc cd;
-        tetcast_clip_plane plane;
-        tetcast_clip *clip = NULL;
-        tetcast_surface_desc fd;
-        tetcast_surface surface;
-        tetcast_optics *o = optics_make(TETCAST_MODEL_VOLUME, TETCAST_INTEGRATOR_EXACT, w[k].threads);
-        const tetcast_image image = tet_image(&p);
-        uint64_t h;
+        s.w = &w[k];
         memset(&md, 0, sizeof md);
         md.env.thread_count = w[k].threads;
-        mesh = tets_build_desc(&m, &md, NULL);
-        REQUIRE(mesh != NULL && o != NULL);
-        memset(&d, 0, sizeof d);
-        d.env.thread_count = w[k].threads;
-        d.isa = (tetcast_isa)w[k].isa;
-        d.method = TETCAST_METHOD_WALK;
-        d.background[0] = 0.25f;
-        d.background[3] = 1;
-        REQUIRE(tetcast_render(&d, mesh, o, &image, NULL) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_WALKED, tet_hash(&p, 0), &w[k]);
-        d.method = TETCAST_METHOD_PROJECT;
-        REQUIRE(tetcast_render(&d, mesh, o, &image, NULL) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_PROJECTED, tet_hash(&p, 0), &w[k]);
-        tetcast_optics_destroy(o);
-        CHECK(tetcast_mesh_make_gradients(mesh, &md.env) == TETCAST_OK);
-
-        d.camera.eye[0] = 11; /* near by and from within */
-        d.camera.eye[1] = 4;
-        d.camera.eye[2] = 2;
-        for (i = TETCAST_MODEL_EMISSION, h = 0; i <= TETCAST_MODEL_MIXED; i++) {
-            o = optics_make((tetcast_model)i, TETCAST_INTEGRATOR_EXACT, w[k].threads);
-            d.method = i & 1 ? TETCAST_METHOD_WALK : TETCAST_METHOD_PROJECT;
-            d.smooth_normals = i == TETCAST_MODEL_MIXED;
-            REQUIRE(o != NULL && tetcast_render(&d, mesh, o, &image, NULL) == TETCAST_OK);
-            h = tet_hash(&p, h);
-            if (i == TETCAST_MODEL_ISOSURFACE) {
-                d.method = TETCAST_METHOD_WALK;
-                REQUIRE(tetcast_render(&d, mesh, o, &image, NULL) == TETCAST_OK);
-                h = tet_hash(&p, h);
-            }
-            tetcast_optics_destroy(o);
-        }
-        is_golden(GOLDEN_TETCAST_MODELS, h, &w[k]);
-        d.method = TETCAST_METHOD_WALK;
-        d.smooth_normals = 0;
-        d.camera.eye[0] = 3;
-        for (i = TETCAST_INTEGRATOR_PSI_TABLE, h = 0; i < TETCAST_INTEGRATOR_COUNT; i++) {
-            o = optics_make(TETCAST_MODEL_VOLUME, (tetcast_integrator)i, w[k].threads);
-            REQUIRE(o != NULL && tetcast_render(&d, mesh, o, &image, NULL) == TETCAST_OK);
-            h = tet_hash(&p, h);
-            tetcast_optics_destroy(o);
-        }
-        is_golden(GOLDEN_TETCAST_INTEGRATORS, h, &w[k]);
-
-        memset(&shader, 0, sizeof shader);
-        shader.needs = TETCAST_NEED_GRADIENT;
-        shader.shade_fn = stripes;
-        memset(&plane, 0, sizeof plane);
-        plane.normal[0] = 1;
-        plane.normal[1] = 0.5;
-        plane.offset = 2;
-        memset(&cd, 0, sizeof cd);
-        cd.env.thread_count = 1;
-        cd.planes = &plane;
-        cd.plane_count = 1;
-        REQUIRE(tetcast_clip_create(&cd, &clip) == TETCAST_OK);
-        memset(&sd, 0, sizeof sd);
-        sd.env.thread_count = w[k].threads;
-        sd.clip = clip;
-        sd.shader = &shader;
-        REQUIRE(tetcast_render_shaded(&sd, mesh, NULL, &image, NULL) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_SHADED, tet_hash(&p, 0), &w[k]);
-        tetcast_clip_destroy(clip);
-
-        memset(&fd, 0, sizeof fd);
-        fd.env.thread_count = w[k].threads;
-        fd.isovalue = 0.5f;
-        fd.normals = fd.cells = 1;
-        REQUIRE(tetcast_isosurface(&fd, mesh, &surface) == TETCAST_OK && surface.triangle_count > 100);
-        h = put_floats(put_doubles(0, surface.origin, 3), surface.positions, 3 * (size_t)surface.vertex_count);
-        h = put_floats(h, surface.normals, 3 * (size_t)surface.vertex_count);
-        h = put_u32s(put_u32s(h, surface.indices, 3 * (size_t)surface.triangle_count), surface.cells, surface.triangle_count);
-        is_golden(GOLDEN_TETCAST_SURFACE, h, &w[k]);
-        tetcast_surface_free(&surface);
-        tetcast_mesh_destroy(mesh);
-
-        o = optics_make(TETCAST_MODEL_VOLUME, TETCAST_INTEGRATOR_EXACT, 1);
-        memset(&d, 0, sizeof d);
-        d.env.thread_count = w[k].threads;
-        d.isa = (tetcast_isa)w[k].isa;
-        d.method = TETCAST_METHOD_WALK;
-        for (i = 0; i <= TETCAST_CELLS_COUNT; i++) { /* all kinds show the same; in another order last bits differ */
-            const int morton = i == TETCAST_CELLS_COUNT;
-            md.cells = morton ? TETCAST_CELLS_TET16 : (tetcast_cells)i;
-            md.order = morton ? TETCAST_ORDER_MORTON : TETCAST_ORDER_HILBERT;
-            mesh = tets_build_desc(&m, &md, NULL);
-            REQUIRE(mesh != NULL && tetcast_render(&d, mesh, o, &image, NULL) == TETCAST_OK);
-            is_golden(morton ? GOLDEN_TETCAST_MORTON : GOLDEN_TETCAST_CELLS, tet_hash(&p, 0), &w[k]);
-            tetcast_mesh_destroy(mesh);
-        }
-        tetcast_optics_destroy(o);
+        s.mesh = tets_build_desc(&m, &md, NULL);
+        REQUIRE(s.mesh != NULL);
+        tet_view_start(&s);
+        mesh_methods(&s);
+        CHECK(tetcast_mesh_make_gradients(s.mesh, &md.env) == TETCAST_OK);
+        mesh_models(&s);
+        mesh_integrators(&s);
+        mesh_shaded(&s);
+        mesh_surface(&s);
+        tetcast_mesh_destroy(s.mesh);
+        mesh_cells(&s, &m);
     }
     tets_free(&m);
+}
+
+/* Places to sample at, in steps of bricks and in the world, and values of two levels of a grid. */
+enum { PLACES = 500, NODES = 18 * 18 * 18 };
+typedef struct places {
+    float x[PLACES], y[PLACES], z[PLACES];
+    double world[PLACES][3];
+    float coarse[6 * 6 * 6], fine[4 * 4 * 4];
+} places;
+
+static void places_make(places *q) {
+    test_rng r = test_rng_make(13);
+    uint32_t i, a;
+    for (i = 0; i < PLACES; i++) {
+        q->x[i] = (float)test_rng_below(&r, 33 * 64) / 64.0f;
+        q->y[i] = (float)test_rng_below(&r, 33 * 64) / 64.0f;
+        q->z[i] = (float)test_rng_below(&r, 33 * 64) / 64.0f;
+        for (a = 0; a < 3; a++) q->world[i][a] = (double)test_rng_below(&r, 6 * 256) / 256.0;
+    }
+    for (i = 0; i < 216; i++) q->coarse[i] = (float)test_rng_below(&r, 256) / 256.0f;
+    for (i = 0; i < 64; i++) q->fine[i] = (float)test_rng_below(&r, 256) / 256.0f;
+}
+
+static void lattice_resampled(const way *w, const tetcast_mesh *mesh) {
+    static float v[NODES], least[NODES], most[NODES], share[NODES];
+    tetcast_resample_desc rd;
+    tetcast_lattice lattice;
+    tetcast_means means;
+    uint32_t i;
+    uint64_t h;
+    REQUIRE(tetcast_lattice_fit(mesh, 18, &lattice) == TETCAST_OK);
+    REQUIRE(lattice.dims[0] * lattice.dims[1] * lattice.dims[2] == NODES);
+    memset(&rd, 0, sizeof rd);
+    rd.env.thread_count = w->threads;
+    rd.isa = (tetcast_isa)w->isa;
+    rd.use_fill = 1;
+    rd.fill = -1;
+    REQUIRE(tetcast_resample(&rd, mesh, &lattice, v, NULL) == TETCAST_OK);
+    h = put_floats(0, v, NODES);
+    rd.extend = 1;
+    rd.axis = 2;
+    REQUIRE(tetcast_resample(&rd, mesh, &lattice, v, NULL) == TETCAST_OK);
+    is_golden(GOLDEN_TETCAST_RESAMPLED, put_floats(h, v, NODES), w);
+    means.mean = v;
+    means.least = least;
+    means.most = most;
+    means.share = share;
+    REQUIRE(tetcast_resample_mean(&rd.env, mesh, &lattice, &means) == TETCAST_OK);
+    for (i = 0; i < NODES; i++)
+        if (!(v[i] == v[i])) v[i] = least[i] = most[i] = -1; /* NaN: nothing is there */
+    h = put_floats(put_floats(put_floats(put_floats(0, v, NODES), least, NODES), most, NODES), share, NODES);
+    is_golden(GOLDEN_TETCAST_MEANS, h, w);
+}
+
+static void plane_cut(const way *w, const tetcast_mesh *mesh) { /* samples in a plane, and the polygons that it makes of cells */
+    enum { PW = 24, PH = 20 };
+    static float v[PW * PH];
+    tetcast_env env;
+    tetcast_plane plane;
+    tetcast_section section;
+    uint32_t i;
+    uint64_t h;
+    memset(&env, 0, sizeof env);
+    env.thread_count = w->threads;
+    memset(&plane, 0, sizeof plane);
+    plane.origin[2] = 1.25;
+    plane.u[0] = 6;
+    plane.u[2] = 2;
+    plane.v[1] = 6;
+    plane.v[2] = 1;
+    REQUIRE(tetcast_plane_sample(&env, mesh, &plane, PW, PH, v) == TETCAST_OK);
+    for (i = 0; i < PW * PH; i++)
+        if (!(v[i] == v[i])) v[i] = -1;
+    h = put_floats(0, v, PW * PH);
+    REQUIRE(tetcast_plane_section(&env, mesh, &plane, &section) == TETCAST_OK && section.polygon_count > 50);
+    h = put_doubles(put_doubles(h, section.points[0], 3 * (size_t)section.point_count), &section.area, 1);
+    h = put_floats(h, section.values, section.point_count);
+    h = put_u32s(put_u32s(h, section.first, section.polygon_count + (size_t)1), section.cells, section.polygon_count);
+    tetcast_section_free(&section);
+    is_golden(GOLDEN_TETCAST_SECTION, h, w);
+}
+
+static uint64_t put_brick_file(uint64_t h, const tetcast_bricks *bricks) {
+    const size_t size = tetcast_bricks_file_size(bricks);
+    uint8_t *file = (uint8_t *)malloc(size + 1);
+    CHECK(file != NULL && tetcast_bricks_write(bricks, file, size) == TETCAST_OK);
+    h = test_fnv1a(file, size, h);
+    free(file);
+    return h;
+}
+
+static uint64_t brick_cut(uint64_t h, const way *w, const tetcast_bricks *bricks, const places *q) { /* what a cut has in it, and its picture */
+    static float out[PLACES], gradient[PLACES][3];
+    static tet_picture p;
+    tetcast_optics *o = optics_make(TETCAST_MODEL_MIXED, TETCAST_INTEGRATOR_EXACT, 1);
+    tetcast_cut_desc cd;
+    tetcast_cut *cut = NULL;
+    tetcast_brick_render_desc d;
+    const tetcast_image image = tet_image(&p);
+    memset(&cd, 0, sizeof cd);
+    cd.env.thread_count = w->threads;
+    cd.focus[0] = 1;
+    cd.focus_radius = 2;
+    CHECK(tetcast_cut_create(&cd, bricks, &cut) == TETCAST_OK);
+    tetcast_cut_sample(cut, q->x, q->y, q->z, PLACES, (tetcast_isa)w->isa, out);
+    h = put_floats(h, out, PLACES);
+    tetcast_cut_gradient(cut, q->x, q->y, q->z, PLACES, out, gradient);
+    h = put_floats(put_floats(h, out, PLACES), gradient[0], 3 * PLACES);
+    memset(&d, 0, sizeof d);
+    d.env.thread_count = w->threads;
+    d.isa = (tetcast_isa)w->isa;
+    CHECK(tetcast_render_bricks(&d, cut, o, &image, NULL) == TETCAST_OK);
+    is_golden(GOLDEN_TETCAST_BRICK_PICTURE, tet_hash(&p, 0), w);
+    tetcast_cut_destroy(cut);
+    tetcast_optics_destroy(o);
+    return h;
+}
+
+static void bricks_of(const way *w, const tetcast_mesh *mesh, const places *q) { /* files of each kind of number that nodes may be */
+    static const tetcast_type smaller[3] = {TETCAST_TYPE_F16, TETCAST_TYPE_U16, TETCAST_TYPE_U8};
+    tetcast_bricks_desc bd;
+    tetcast_bricks *bricks = NULL;
+    uint32_t i;
+    uint64_t h;
+    memset(&bd, 0, sizeof bd);
+    bd.env.thread_count = w->threads;
+    bd.log_cells = 3;
+    bd.longest = 33;
+    bd.max_error = 0.03125f;
+    bd.checks = 200;
+    REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &bricks) == TETCAST_OK);
+    h = brick_cut(put_brick_file(0, bricks), w, bricks, q);
+    tetcast_bricks_destroy(bricks);
+    for (i = 0; i < 3; i++) {
+        bd.storage = smaller[i];
+        bd.longest = 17;
+        bd.max_error = 0;
+        REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &bricks) == TETCAST_OK);
+        h = put_brick_file(h, bricks);
+        tetcast_bricks_destroy(bricks);
+    }
+    is_golden(GOLDEN_TETCAST_BRICK_FILE, h, w);
+}
+
+static void amr_of(const way *w, const places *q) { /* a finer patch in a coarse one, by each way of filling in between */
+    static float out[PLACES];
+    tetcast_patch patch[2];
+    tetcast_amr_desc ad;
+    tetcast_amr *amr = NULL;
+    uint32_t i, a;
+    uint64_t h;
+    memset(patch, 0, sizeof patch);
+    memset(&ad, 0, sizeof ad);
+    ad.env.thread_count = w->threads;
+    patch[0].values = q->coarse;
+    patch[1].values = q->fine;
+    patch[1].level = 1;
+    for (a = 0; a < 3; a++) {
+        ad.cells[a] = patch[0].dims[a] = 6;
+        patch[1].dims[a] = 4;
+        patch[1].lo[a] = (int32_t)(2 + 2 * a);
+    }
+    ad.patches = patch;
+    ad.patch_count = 2;
+    REQUIRE(tetcast_amr_create(&ad, &amr) == TETCAST_OK);
+    for (i = TETCAST_AMR_OCTANT, h = 0; i <= TETCAST_AMR_GTI; i++) {
+        REQUIRE(tetcast_amr_sample(amr, (tetcast_amr_method)i, (const double (*)[3])q->world, PLACES, out) == TETCAST_OK);
+        h = put_floats(h, out, PLACES);
+    }
+    is_golden(GOLDEN_TETCAST_AMR, h, w);
+    tetcast_amr_destroy(amr);
 }
 
 TEST(tetcast_lattices) {
-    enum { NODES = 18 * 18 * 18, POINTS = 500 };
-    static tet_picture p;
-    static float v[NODES], least[NODES], most[NODES], share[NODES], x[POINTS], y[POINTS], z[POINTS], out[POINTS], gradient[POINTS][3];
-    static double world[POINTS][3];
-    static float coarse[6 * 6 * 6], fine[4 * 4 * 4];
+    static places q;
     tets m;
-    test_rng r = test_rng_make(13);
     way w[5];
-    uint32_t k, i, a;
+    uint32_t k;
     const uint32_t n = ways((uint32_t)tetcast_isa_best(), w);
     lattice_make(&m);
-    for (i = 0; i < POINTS; i++) {
-        x[i] = (float)test_rng_below(&r, 33 * 64) / 64.0f;
-        y[i] = (float)test_rng_below(&r, 33 * 64) / 64.0f;
-        z[i] = (float)test_rng_below(&r, 33 * 64) / 64.0f;
-        for (a = 0; a < 3; a++) world[i][a] = (double)test_rng_below(&r, 6 * 256) / 256.0;
-    }
-    for (i = 0; i < 216; i++) coarse[i] = (float)test_rng_below(&r, 256) / 256.0f;
-    for (i = 0; i < 64; i++) fine[i] = (float)test_rng_below(&r, 256) / 256.0f;
+    places_make(&q);
     for (k = 0; k < n; k++) {
         tetcast_mesh *mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
-        tetcast_optics *o = optics_make(TETCAST_MODEL_MIXED, TETCAST_INTEGRATOR_EXACT, 1);
-        tetcast_resample_desc rd;
-        tetcast_lattice lattice;
-        tetcast_means means;
-        tetcast_plane plane;
-        tetcast_section section;
-        tetcast_bricks_desc bd;
-        tetcast_bricks *bricks = NULL;
-        tetcast_cut_desc cd;
-        tetcast_cut *cut = NULL;
-        tetcast_brick_render_desc d;
-        tetcast_patch patch[2];
-        tetcast_amr_desc ad;
-        tetcast_amr *amr = NULL;
-        const tetcast_image image = tet_image(&p);
-        uint8_t *file;
-        size_t size;
-        uint64_t h;
-        REQUIRE(mesh != NULL && o != NULL && tetcast_lattice_fit(mesh, 18, &lattice) == TETCAST_OK);
-        REQUIRE(lattice.dims[0] * lattice.dims[1] * lattice.dims[2] == NODES);
-        memset(&rd, 0, sizeof rd);
-        rd.env.thread_count = w[k].threads;
-        rd.isa = (tetcast_isa)w[k].isa;
-        rd.use_fill = 1;
-        rd.fill = -1;
-        REQUIRE(tetcast_resample(&rd, mesh, &lattice, v, NULL) == TETCAST_OK);
-        h = put_floats(0, v, NODES);
-        rd.extend = 1;
-        rd.axis = 2;
-        REQUIRE(tetcast_resample(&rd, mesh, &lattice, v, NULL) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_RESAMPLED, put_floats(h, v, NODES), &w[k]);
-        means.mean = v;
-        means.least = least;
-        means.most = most;
-        means.share = share;
-        REQUIRE(tetcast_resample_mean(&rd.env, mesh, &lattice, &means) == TETCAST_OK);
-        for (i = 0; i < NODES; i++)
-            if (!(v[i] == v[i])) v[i] = least[i] = most[i] = -1; /* NaN: nothing is there */
-        h = put_floats(put_floats(put_floats(put_floats(0, v, NODES), least, NODES), most, NODES), share, NODES);
-        is_golden(GOLDEN_TETCAST_MEANS, h, &w[k]);
-        memset(&plane, 0, sizeof plane);
-        plane.origin[2] = 1.25;
-        plane.u[0] = 6;
-        plane.u[2] = 2;
-        plane.v[1] = 6;
-        plane.v[2] = 1;
-        REQUIRE(tetcast_plane_sample(&rd.env, mesh, &plane, 24, 20, v) == TETCAST_OK);
-        for (i = 0; i < 480; i++)
-            if (!(v[i] == v[i])) v[i] = -1;
-        h = put_floats(0, v, 480);
-        REQUIRE(tetcast_plane_section(&rd.env, mesh, &plane, &section) == TETCAST_OK && section.polygon_count > 50);
-        h = put_doubles(put_doubles(h, section.points[0], 3 * (size_t)section.point_count), &section.area, 1);
-        h = put_floats(h, section.values, section.point_count);
-        h = put_u32s(put_u32s(h, section.first, section.polygon_count + (size_t)1), section.cells, section.polygon_count);
-        tetcast_section_free(&section);
-        is_golden(GOLDEN_TETCAST_SECTION, h, &w[k]);
-
-        memset(&bd, 0, sizeof bd);
-        bd.env.thread_count = w[k].threads;
-        bd.log_cells = 3;
-        bd.longest = 33;
-        bd.max_error = 0.03125f;
-        bd.checks = 200;
-        REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &bricks) == TETCAST_OK);
-        size = tetcast_bricks_file_size(bricks);
-        file = (uint8_t *)malloc(size + 1);
-        REQUIRE(file != NULL && tetcast_bricks_write(bricks, file, size) == TETCAST_OK);
-        h = test_fnv1a(file, size, 0);
-        free(file);
-        memset(&cd, 0, sizeof cd);
-        cd.env.thread_count = w[k].threads;
-        cd.focus[0] = 1;
-        cd.focus_radius = 2;
-        REQUIRE(tetcast_cut_create(&cd, bricks, &cut) == TETCAST_OK);
-        tetcast_cut_sample(cut, x, y, z, POINTS, (tetcast_isa)w[k].isa, out);
-        h = put_floats(h, out, POINTS);
-        tetcast_cut_gradient(cut, x, y, z, POINTS, out, gradient);
-        h = put_floats(put_floats(h, out, POINTS), gradient[0], 3 * POINTS);
-        memset(&d, 0, sizeof d);
-        d.env.thread_count = w[k].threads;
-        d.isa = (tetcast_isa)w[k].isa;
-        REQUIRE(tetcast_render_bricks(&d, cut, o, &image, NULL) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_BRICK_PICTURE, tet_hash(&p, 0), &w[k]);
-        tetcast_cut_destroy(cut);
-        tetcast_bricks_destroy(bricks);
-        for (i = TETCAST_TYPE_F16; i >= TETCAST_TYPE_U8; i--) { /* the other numbers that nodes may be */
-            if (i != TETCAST_TYPE_F16 && i != TETCAST_TYPE_U16 && i != TETCAST_TYPE_U8) continue;
-            bd.storage = (tetcast_type)i;
-            bd.longest = 17;
-            bd.max_error = 0;
-            REQUIRE(tetcast_bricks_create_mesh(&bd, mesh, NULL, &bricks) == TETCAST_OK);
-            size = tetcast_bricks_file_size(bricks);
-            file = (uint8_t *)malloc(size + 1);
-            REQUIRE(file != NULL && tetcast_bricks_write(bricks, file, size) == TETCAST_OK);
-            h = test_fnv1a(file, size, h);
-            free(file);
-            tetcast_bricks_destroy(bricks);
-        }
-        is_golden(GOLDEN_TETCAST_BRICK_FILE, h, &w[k]);
-        tetcast_optics_destroy(o);
+        REQUIRE(mesh != NULL);
+        lattice_resampled(&w[k], mesh);
+        plane_cut(&w[k], mesh);
+        bricks_of(&w[k], mesh, &q);
         tetcast_mesh_destroy(mesh);
-
-        memset(patch, 0, sizeof patch);
-        memset(&ad, 0, sizeof ad);
-        ad.env.thread_count = w[k].threads;
-        patch[0].values = coarse;
-        patch[1].values = fine;
-        patch[1].level = 1;
-        for (a = 0; a < 3; a++) {
-            ad.cells[a] = patch[0].dims[a] = 6;
-            patch[1].dims[a] = 4;
-            patch[1].lo[a] = (int32_t)(2 + 2 * a);
-        }
-        ad.patches = patch;
-        ad.patch_count = 2;
-        REQUIRE(tetcast_amr_create(&ad, &amr) == TETCAST_OK);
-        for (i = TETCAST_AMR_OCTANT, h = 0; i <= TETCAST_AMR_GTI; i++) {
-            REQUIRE(tetcast_amr_sample(amr, (tetcast_amr_method)i, (const double (*)[3])world, POINTS, out) == TETCAST_OK);
-            h = put_floats(h, out, POINTS);
-        }
-        is_golden(GOLDEN_TETCAST_AMR, h, &w[k]);
-        tetcast_amr_destroy(amr);
+        amr_of(&w[k], &q);
     }
     tets_free(&m);
 }
 
-TEST(tetcast_functions) {
-    enum { DIMS = 11, DATA = DIMS * DIMS * DIMS, POINTS = 400, SEEDS = 20, STEPS = 12, FUNCTIONS = 60 };
-    static float data[DATA], value[3 * POINTS], jacobian[9 * POINTS];
-    static double at[POINTS][3], paths[SEEDS][STEPS + 1][3];
-    static uint32_t lengths[SEEDS];
-    static tetcast_trace_end ends[SEEDS];
-    static tet_picture p;
-    tetcast_rbf_function f[FUNCTIONS];
+/* Data for functions to be fitted to, functions of their own, and places to evaluate them at. */
+enum { RBF_DIMS = 11, RBF_DATA = RBF_DIMS * RBF_DIMS * RBF_DIMS, RBF_PLACES = 400, RBF_FUNCTIONS = 60 };
+typedef struct functions {
+    float data[RBF_DATA];
+    double at[RBF_PLACES][3];
+    tetcast_rbf_function f[RBF_FUNCTIONS];
+} functions;
+
+static void functions_make(functions *q) {
     test_rng r = test_rng_make(17);
-    way w[5];
-    uint32_t k, i, a;
-    const uint32_t n = ways((uint32_t)tetcast_isa_best(), w);
-    for (i = 0; i < DATA; i++) { /* two bumps and some noise */
-        const int c[3] = {(int)(i % DIMS), (int)(i / DIMS % DIMS), (int)(i / DIMS / DIMS)};
+    tetcast_rbf_function *f = q->f;
+    uint32_t i, a;
+    for (i = 0; i < RBF_DATA; i++) { /* two bumps and some noise */
+        const int c[3] = {(int)(i % RBF_DIMS), (int)(i / RBF_DIMS % RBF_DIMS), (int)(i / RBF_DIMS / RBF_DIMS)};
         int d = 0, e = 0;
         for (a = 0; a < 3; a++) {
             d += (c[a] - 3) * (c[a] - 3);
             e += (c[a] - 7) * (c[a] - 7);
         }
-        data[i] = 4.0f / (float)(4 + d);
-        if (e < d) data[i] = 3.0f / (float)(4 + e);
-        data[i] += (float)test_rng_below(&r, 16) / 1024.0f;
+        q->data[i] = 4.0f / (float)(4 + d);
+        if (e < d) q->data[i] = 3.0f / (float)(4 + e);
+        q->data[i] += (float)test_rng_below(&r, 16) / 1024.0f;
     }
-    for (i = 0; i < POINTS; i++)
-        for (a = 0; a < 3; a++) at[i][a] = (double)test_rng_below(&r, 10 * 128) / 128.0;
-    memset(f, 0, sizeof f);
-    for (i = 0; i < FUNCTIONS; i++) {
+    for (i = 0; i < RBF_PLACES; i++)
+        for (a = 0; a < 3; a++) q->at[i][a] = (double)test_rng_below(&r, 10 * 128) / 128.0;
+    memset(f, 0, sizeof q->f);
+    for (i = 0; i < RBF_FUNCTIONS; i++) {
         for (a = 0; a < 3; a++) {
             f[i].centre[a] = (double)test_rng_below(&r, 10 * 64) / 64.0;
             f[i].weight[a] = (float)((int)test_rng_below(&r, 257) - 128) / 128.0f;
@@ -1386,83 +1528,112 @@ TEST(tetcast_functions) {
         f[i].width = (double)(32 + test_rng_below(&r, 96)) / 64.0;
         if (f[i].axis[0] != 0) f[i].stretch = 0.5;
     }
-    for (k = 0; k < n; k++) {
-        tetcast_rbf_fit_desc fd;
-        tetcast_rbf_points points;
-        tetcast_rbf_eval_desc ed;
-        tetcast_rbf_render_desc rd;
-        tetcast_rbf_trace_desc td;
-        tetcast_rbf_desc cd;
-        tetcast_rbf *fit = NULL, *flow;
-        tetcast_optics *o = optics_make(TETCAST_MODEL_MIXED, TETCAST_INTEGRATOR_EXACT, 1);
-        const tetcast_image image = tet_image(&p);
-        uint8_t *file;
-        size_t size = 0;
-        uint64_t h;
-        memset(&points, 0, sizeof points);
-        points.values.data = data;
-        points.count = DATA;
-        points.components = 1;
-        points.dims[0] = points.dims[1] = points.dims[2] = DIMS;
-        memset(&fd, 0, sizeof fd);
-        fd.env.thread_count = w[k].threads;
-        fd.isa = (tetcast_isa)w[k].isa;
-        fd.max_error = 0.0625f;
-        REQUIRE(tetcast_rbf_fit(&fd, &points, NULL, &fit) == TETCAST_OK);
-        REQUIRE(tetcast_rbf_save_memory(fit, NULL, 0, &size) == TETCAST_OK);
-        file = (uint8_t *)malloc(size + 1);
-        REQUIRE(file != NULL && tetcast_rbf_save_memory(fit, file, size, &size) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_RBF_FILE, test_fnv1a(file, size, 0), &w[k]);
-        free(file);
+}
 
+/* Returns the hash of the values that are fitted to the data. */
+static uint64_t functions_fitted(const way *w, const functions *q, const tetcast_rbf_eval_desc *ed) {
+    static float value[RBF_PLACES], jacobian[3 * RBF_PLACES];
+    static tet_picture p;
+    tetcast_rbf_fit_desc fd;
+    tetcast_rbf_points points;
+    tetcast_rbf_render_desc rd;
+    tetcast_rbf *fit = NULL;
+    tetcast_optics *o = optics_make(TETCAST_MODEL_MIXED, TETCAST_INTEGRATOR_EXACT, 1);
+    const tetcast_image image = tet_image(&p);
+    uint8_t *file;
+    size_t size = 0;
+    uint64_t h;
+    memset(&points, 0, sizeof points);
+    points.values.data = q->data;
+    points.count = RBF_DATA;
+    points.components = 1;
+    points.dims[0] = points.dims[1] = points.dims[2] = RBF_DIMS;
+    memset(&fd, 0, sizeof fd);
+    fd.env.thread_count = w->threads;
+    fd.isa = (tetcast_isa)w->isa;
+    fd.max_error = 0.0625f;
+    CHECK(tetcast_rbf_fit(&fd, &points, NULL, &fit) == TETCAST_OK);
+    CHECK(tetcast_rbf_save_memory(fit, NULL, 0, &size) == TETCAST_OK);
+    file = (uint8_t *)malloc(size + 1);
+    CHECK(file != NULL && tetcast_rbf_save_memory(fit, file, size, &size) == TETCAST_OK);
+    is_golden(GOLDEN_TETCAST_RBF_FILE, test_fnv1a(file, size, 0), w);
+    free(file);
+    CHECK(tetcast_rbf_eval(ed, fit, q->at[0], RBF_PLACES, value, jacobian) == TETCAST_OK);
+    h = put_floats(put_floats(0, value, RBF_PLACES), jacobian, 3 * RBF_PLACES);
+    memset(&rd, 0, sizeof rd);
+    rd.env.thread_count = w->threads;
+    rd.isa = (tetcast_isa)w->isa;
+    rd.step = 0.375f;
+    CHECK(tetcast_rbf_render(&rd, fit, o, &image, NULL) == TETCAST_OK);
+    is_golden(GOLDEN_TETCAST_RBF_PICTURE, tet_hash(&p, 0), w);
+    tetcast_rbf_destroy(fit);
+    tetcast_optics_destroy(o);
+    return h;
+}
+
+static uint64_t put_flow_features(uint64_t h, const float *value, const float *jacobian) { /* of every eighth place */
+    uint32_t i;
+    for (i = 0; i < RBF_PLACES; i += 8) {
+        tetcast_flow features;
+        tetcast_flow_features(value + 3 * i, jacobian + 9 * i, &features);
+        h = put_floats(put_floats(h, &features.speed, 1), features.vorticity, 3);
+        h = put_floats(put_floats(h, &features.lambda2, 1), &features.helicity, 1);
+    }
+    return h;
+}
+
+static void flow_traced(const way *w, const tetcast_rbf *flow, const functions *q) { /* by all steppers */
+    enum { SEEDS = 20, STEPS = 12 };
+    static double paths[SEEDS][STEPS + 1][3];
+    static uint32_t lengths[SEEDS];
+    static tetcast_trace_end ends[SEEDS];
+    uint32_t i;
+    uint64_t h = 0;
+    for (i = TETCAST_STEPPER_RK4; i <= TETCAST_STEPPER_DOPRI5; i++) {
+        tetcast_rbf_trace_desc td;
+        memset(&td, 0, sizeof td);
+        td.env.thread_count = w->threads;
+        td.isa = (tetcast_isa)w->isa;
+        td.stepper = (tetcast_stepper)i;
+        td.dt = 0.25;
+        td.steps = STEPS;
+        memset(paths, 0, sizeof paths);
+        REQUIRE(tetcast_rbf_trace(&td, flow, q->at[0], SEEDS, paths[0][0], lengths, ends) == TETCAST_OK);
+        h = put_u32s(put_doubles(h, paths[0][0], SEEDS * (STEPS + 1) * 3), lengths, SEEDS);
+    }
+    is_golden(GOLDEN_TETCAST_TRACES, h, w);
+}
+
+TEST(tetcast_functions) {
+    static functions q;
+    static float value[3 * RBF_PLACES], jacobian[9 * RBF_PLACES];
+    way w[5];
+    uint32_t k, i;
+    const uint32_t n = ways((uint32_t)tetcast_isa_best(), w);
+    functions_make(&q);
+    for (k = 0; k < n; k++) {
+        tetcast_rbf_eval_desc ed;
+        tetcast_rbf_desc cd;
+        uint64_t h;
         memset(&ed, 0, sizeof ed);
         ed.env.thread_count = w[k].threads;
         ed.isa = (tetcast_isa)w[k].isa;
-        REQUIRE(tetcast_rbf_eval(&ed, fit, at[0], POINTS, value, jacobian) == TETCAST_OK);
-        h = put_floats(put_floats(0, value, POINTS), jacobian, 3 * POINTS);
-        memset(&rd, 0, sizeof rd);
-        rd.env.thread_count = w[k].threads;
-        rd.isa = (tetcast_isa)w[k].isa;
-        rd.step = 0.375f;
-        REQUIRE(tetcast_rbf_render(&rd, fit, o, &image, NULL) == TETCAST_OK);
-        is_golden(GOLDEN_TETCAST_RBF_PICTURE, tet_hash(&p, 0), &w[k]);
-        tetcast_rbf_destroy(fit);
-        tetcast_optics_destroy(o);
-
+        h = functions_fitted(&w[k], &q, &ed);
         for (i = 0; i < TETCAST_KERNEL_COUNT; i++) {
+            tetcast_rbf *flow = NULL;
             memset(&cd, 0, sizeof cd);
             cd.env.thread_count = 1;
             cd.components = 3;
             cd.box_max[0] = cd.box_max[1] = cd.box_max[2] = 10;
             cd.kernel = (tetcast_kernel)i;
-            cd.functions = f;
-            cd.function_count = FUNCTIONS;
+            cd.functions = q.f;
+            cd.function_count = RBF_FUNCTIONS;
             cd.offset[0] = 0.5f;
-            flow = NULL;
             REQUIRE(tetcast_rbf_create(&cd, &flow) == TETCAST_OK);
-            REQUIRE(tetcast_rbf_eval(&ed, flow, at[0], POINTS, value, jacobian) == TETCAST_OK);
-            h = put_floats(put_floats(h, value, 3 * POINTS), jacobian, 9 * POINTS);
-            for (a = 0; a < POINTS; a += 8) {
-                tetcast_flow features;
-                tetcast_flow_features(value + 3 * a, jacobian + 9 * a, &features);
-                h = put_floats(put_floats(h, &features.speed, 1), features.vorticity, 3);
-                h = put_floats(put_floats(h, &features.lambda2, 1), &features.helicity, 1);
-            }
-            if (i == TETCAST_KERNEL_GAUSS) {
-                uint64_t traced = 0;
-                for (a = TETCAST_STEPPER_RK4; a <= TETCAST_STEPPER_DOPRI5; a++) {
-                    memset(&td, 0, sizeof td);
-                    td.env.thread_count = w[k].threads;
-                    td.isa = (tetcast_isa)w[k].isa;
-                    td.stepper = (tetcast_stepper)a;
-                    td.dt = 0.25;
-                    td.steps = STEPS;
-                    memset(paths, 0, sizeof paths);
-                    REQUIRE(tetcast_rbf_trace(&td, flow, at[0], SEEDS, paths[0][0], lengths, ends) == TETCAST_OK);
-                    traced = put_u32s(put_doubles(traced, paths[0][0], SEEDS * (STEPS + 1) * 3), lengths, SEEDS);
-                }
-                is_golden(GOLDEN_TETCAST_TRACES, traced, &w[k]);
-            }
+            REQUIRE(tetcast_rbf_eval(&ed, flow, q.at[0], RBF_PLACES, value, jacobian) == TETCAST_OK);
+            h = put_floats(put_floats(h, value, 3 * RBF_PLACES), jacobian, 9 * RBF_PLACES);
+            h = put_flow_features(h, value, jacobian);
+            if (i == TETCAST_KERNEL_GAUSS) flow_traced(&w[k], flow, &q);
             tetcast_rbf_destroy(flow);
         }
         is_golden(GOLDEN_TETCAST_RBF_VALUES, h, &w[k]);
