@@ -2,7 +2,9 @@
 # Everything that `make check` checks.
 #   bash tests/check.sh [group...]     groups: see GROUPS_ALL; without one all of them run
 #   V=1                                names and times of the checks that passed, too
-#   SHORT=1                            what fits the time of every change: the oldest and newest standards, each option once
+#   SHORT=1                            what fits the time of every change. Left out: standards between the oldest and the newest,
+#                                      pairs of options, -O3 but for roundings, the six longest tests at full length, 10^8
+#                                      points, -flto of two headers, clang's analyzer; fuzzers get 5 s each, always the same
 #   JOBS=2 FUZZ_SECONDS=60 FUZZ_EACH= FUZZ_FIXED= SOAK_SECONDS=60 OUT=build/check
 # Works on those of the three headers that exist. Each check is one line in the sum `N passed, N failed, N skipped`;
 # all names, results and seconds are in $OUT/results. A check that cannot run here (no tool) is skipped.
@@ -97,7 +99,7 @@ NODE="node --no-experimental-fetch --stack-size=7000" # fetch: Emscripten of 202
 # No way leaves out test_golden.c, which compares results of all three libraries with hashes. Besides it:
 #   modes and emulators   of zbufrand.h its pictures alone, which every part of it has to do with;
 #                         of tetcast.h nothing, but no-simd-thread its optics, tables and transfer functions, s390x its
-#                         cells, integrals, projection, surfaces, transfer functions and walks
+#                         cells, foams, integrals, projection, surfaces, transfer functions and walks
 #   emulators             palettes take minutes there and have no bytes that an order could turn around; of trees and
 #                         voxelising each has one
 #   tsan, msan            of zbufrand.h its pictures, no other test of tetcast.h; asan-ubsan has all tests
@@ -447,7 +449,7 @@ group_symbols() {
         item "symbols $n NO_STDIO" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $libm $ALLOW_THREADS" gcc -std=c99 -O0 -D${P}_NO_STDIO
         item "symbols $n NO_THREADS" symbols $n exported "$ALLOW_LIBC $ALLOW_FORMAT $ALLOW_STDIO $libm" gcc -std=c99 -O0 -D${P}_NO_THREADS
         [ -n "$SHORT" ] || item "symbols $n roundings to float are kept" roundings_kept_O3 $n
-        [ -n "$SHORT" ] || [ "$(uname -m)" != x86_64 ] || item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
+        [ "$(uname -m)" != x86_64 ] || item "symbols $n roundings to float are kept, AVX2" roundings_kept_O3 $n -march=haswell
         [ -n "$SHORT" ] || item "symbols $n NO_SIMD -O2" symbols $n exported "$all" gcc -std=c99 -O2 -D${P}_NO_SIMD
     done
 }
@@ -986,7 +988,7 @@ group_fuzz() {
     [ -z "$FUZZ_EACH" ] || each=$FUZZ_EACH
     for f in "${names[@]}"; do
         if [ -n "$FUZZ_FIXED" ]; then
-            item "fuzz $f $FUZZ_FIXED changes" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=5 -prefixes=3"
+            item "fuzz $f up to $FUZZ_FIXED changes, 5 s" fuzz_standalone $f "-iterations=$FUZZ_FIXED -seconds=5 -prefixes=3"
         elif [ $libfuzzer = 1 ]; then
             item "fuzz $f libfuzzer $each s" fuzz_libfuzzer $f $each
             item "fuzz $f standalone 2 s" fuzz_standalone $f -seconds=2

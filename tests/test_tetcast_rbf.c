@@ -2011,6 +2011,41 @@ static tetcast_optics *rbf_make_optics(tetcast_model model, float iso) {
     return optics;
 }
 
+static void eye_within(tetcast_camera *camera) { /* inside of the box */
+    camera->eye[0] = camera->eye[1] = camera->eye[2] = 4.9;
+    camera->at[0] = 6.0;
+    camera->at[1] = 5.2;
+    camera->at[2] = 5.5;
+    camera->fov_y = 70.0f;
+}
+
+/* The colour of a ray in fine steps through the box, or 0 where it misses it. */
+static int ray_in_steps(const tetcast_rbf *m, const tetcast_rbf_desc *d, const tetcast_optics *o, const tetcast_ray *ray, float want[4]) {
+    static tetcast_segment segment[2000];
+    static double p[3 * 2001];
+    static float v[2001];
+    const uint32_t n = test_quick() ? 400 : 2000;
+    double ends[2] = {0.0, 1e30};
+    uint32_t a, s;
+    for (a = 0; a < 3; a++) {
+        const double x = (d->box_min[a] - ray->org[a]) / ray->dir[a], y = (d->box_max[a] - ray->org[a]) / ray->dir[a];
+        ends[0] = fmax(ends[0], fmin(x, y));
+        ends[1] = fmin(ends[1], fmax(x, y));
+    }
+    if (!(ends[1] > ends[0])) return 0;
+    for (s = 0; s <= n; s++)
+        for (a = 0; a < 3; a++) p[3 * s + a] = ray->org[a] + ray->dir[a] * (ends[0] + (ends[1] - ends[0]) * s / n);
+    CHECK(tetcast_rbf_eval(NULL, m, p, n + 1, v, NULL) == TETCAST_OK);
+    for (s = 0; s < n; s++) {
+        segment[s].front = v[s];
+        segment[s].back = v[s + 1];
+        segment[s].length = (float)((ends[1] - ends[0]) / n);
+        segment[s].depth = 0.0f;
+    }
+    CHECK(tetcast_optics_ray(o, segment, n, want, NULL) == TETCAST_OK);
+    return 1;
+}
+
 /* Tiles against samples one by one against an oracle that steps along the ray in double; same bits for threads and
    instruction sets. */
 TEST(pictures) {
@@ -2053,13 +2088,7 @@ TEST(pictures) {
             q.env.thread_count = k == 1 ? 1 : 3;
             q.gather = k == 3;
             q.step = kernel == 4 ? 0.005f : 0.02f;
-            if (kernel == 0) { /* the eye inside of the box */
-                q.camera.eye[0] = q.camera.eye[1] = q.camera.eye[2] = 4.9;
-                q.camera.at[0] = 6.0;
-                q.camera.at[1] = 5.2;
-                q.camera.at[2] = 5.5;
-                q.camera.fov_y = 70.0f;
-            }
+            if (kernel == 0) eye_within(&q.camera);
             if (kernel == 1) q.camera.ortho_height = 3.0f;
             CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
         }
@@ -2071,45 +2100,17 @@ TEST(pictures) {
             }
         CHECK_MSG(worst < 1.0 / 1024.0, "kernel %u: tiles and samples differ by %.3g", kernel, worst);
         for (i = 0; i < W * H && kernel != 1; i += 13) { /* the same field in fine steps through the box */
-            tetcast_rbf_render_desc q;
             tetcast_camera camera;
             tetcast_ray ray;
-            static tetcast_segment segment[4000];
-            static double p[3 * 4001];
-            static float v[4001];
-            double ends[2] = {0.0, 1e30};
             float want[4];
-            uint32_t a, n = 4000, s;
-            memset(&q, 0, sizeof q);
             memset(&camera, 0, sizeof camera);
-            if (kernel == 0) {
-                camera.eye[0] = camera.eye[1] = camera.eye[2] = 4.9;
-                camera.at[0] = 6.0;
-                camera.at[1] = 5.2;
-                camera.at[2] = 5.5;
-                camera.fov_y = 70.0f;
-            } else CHECK(tetcast_camera_fit(&camera, d.box_min, d.box_max, NULL, W, H) == TETCAST_OK);
+            if (kernel == 0) eye_within(&camera);
+            else CHECK(tetcast_camera_fit(&camera, d.box_min, d.box_max, NULL, W, H) == TETCAST_OK);
             CHECK(tetcast_camera_ray(&camera, W, H, i % W + 0.5, i / W + 0.5, &ray) == TETCAST_OK);
-            for (a = 0; a < 3; a++) {
-                const double x = (d.box_min[a] - ray.org[a]) / ray.dir[a], y = (d.box_max[a] - ray.org[a]) / ray.dir[a];
-                ends[0] = fmax(ends[0], fmin(x, y));
-                ends[1] = fmin(ends[1], fmax(x, y));
-            }
-            if (!(ends[1] > ends[0])) {
+            if (!ray_in_steps(m, &d, o, &ray, want)) {
                 CHECK(rgba[0][i][3] == 0.0f);
                 continue;
             }
-            n = test_quick() ? 400 : 2000;
-            for (s = 0; s <= n; s++)
-                for (a = 0; a < 3; a++) p[3 * s + a] = ray.org[a] + ray.dir[a] * (ends[0] + (ends[1] - ends[0]) * s / n);
-            CHECK(tetcast_rbf_eval(NULL, m, p, n + 1, v, NULL) == TETCAST_OK);
-            for (s = 0; s < n; s++) {
-                segment[s].front = v[s];
-                segment[s].back = v[s + 1];
-                segment[s].length = (float)((ends[1] - ends[0]) / n);
-                segment[s].depth = 0.0f;
-            }
-            CHECK(tetcast_optics_ray(o, segment, n, want, NULL) == TETCAST_OK);
             for (c = 0; c < 4; c++) {
                 const double e = fabs((double)rgba[0][i][c] - (double)want[c]);
                 if (!(e <= worst_oracle)) worst_oracle = e;
@@ -2378,16 +2379,49 @@ static void field_shade(void *user, const tetcast_packet *in, float rgba[4][8]) 
     }
 }
 
+/* Extinction in proportion to the value, red. */
+static tetcast_optics *red_optics(void) {
+    tetcast_control_point points[2];
+    tetcast_transfer_desc td;
+    tetcast_transfer *t = NULL;
+    tetcast_optics *o = NULL;
+    memset(points, 0, sizeof points);
+    memset(&td, 0, sizeof td);
+    points[1].value = 100.0f;
+    points[1].extinction = 100.0f * 0.4f;
+    points[0].rgb[0] = points[1].rgb[0] = 1.0f;
+    td.points = points;
+    td.point_count = 2;
+    CHECK(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
+    tetcast_transfer_destroy(t);
+    return o;
+}
+
+/* A picture by the scalar code, the left part of it and the right one, on three threads. */
+static void in_two_parts(const tetcast_rbf_render_desc *desc, const tetcast_rbf *m, const tetcast_optics *o, const tetcast_image *image) {
+    tetcast_rbf_render_desc q = *desc;
+    tetcast_image part = *image;
+    uint32_t i;
+    q.isa = TETCAST_ISA_SCALAR;
+    q.env.thread_count = 3;
+    q.frame[0] = image->width;
+    q.frame[1] = image->height;
+    for (i = 0; i < 2; i++) {
+        q.part[0] = i * 13;
+        part.width = i != 0 ? image->width - 13 : 13;
+        part.rgba = image->rgba + 4 * q.part[0];
+        part.rgba_stride = image->width * 16;
+        CHECK(tetcast_rbf_render(&q, m, o, &part, NULL) == TETCAST_OK);
+    }
+}
+
 /* A shader that does what the optics do gives their picture; half of the box and the other half are the whole; parts of
    a frame have its bits. */
 TEST(shaded_functions) {
     enum { W = 36, H = 28 };
     static float rgba[6][W * H * 4];
     tetcast_rbf_desc d = random_desc(9, 60, 1, 0.1, 0.4, 0.1);
-    tetcast_control_point points[2];
-    tetcast_transfer_desc td;
-    tetcast_transfer *t = NULL;
-    tetcast_optics *o = NULL;
+    tetcast_optics *o = red_optics();
     tetcast_rbf_render_desc q;
     tetcast_image image;
     tetcast_shader s;
@@ -2401,14 +2435,6 @@ TEST(shaded_functions) {
     for (i = 0; i < 60; i++) g_f[i].weight[0] = fabsf(g_f[i].weight[0]);
     d.offset[0] = 0.1f;
     m = make(&d);
-    memset(points, 0, sizeof points);
-    memset(&td, 0, sizeof td);
-    points[1].value = 100.0f; /* extinction in proportion to the value, red */
-    points[1].extinction = 100.0f * 0.4f;
-    points[0].rgb[0] = points[1].rgb[0] = 1.0f;
-    td.points = points;
-    td.point_count = 2;
-    CHECK(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
     memset(&q, 0, sizeof q);
     memset(&image, 0, sizeof image);
     memset(&s, 0, sizeof s);
@@ -2442,23 +2468,9 @@ TEST(shaded_functions) {
         image.rgba = rgba[2 + k];
         CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_OK);
         if (k == 0) { /* the same by the scalar code, in two parts, on three threads */
-            tetcast_image part = image;
-            q.isa = TETCAST_ISA_SCALAR;
-            q.env.thread_count = 3;
-            q.frame[0] = W;
-            q.frame[1] = H;
-            for (i = 0; i < 2; i++) {
-                q.part[0] = i * 13;
-                part.width = i != 0 ? W - 13 : 13;
-                part.rgba = rgba[4] + 4 * q.part[0];
-                part.rgba_stride = W * 16;
-                CHECK(tetcast_rbf_render(&q, m, o, &part, NULL) == TETCAST_OK);
-            }
+            image.rgba = rgba[4];
+            in_two_parts(&q, m, o, &image);
             CHECK(memcmp(rgba[2], rgba[4], sizeof rgba[2]) == 0);
-            q.isa = TETCAST_ISA_AUTO;
-            q.env.thread_count = 1;
-            memset(q.frame, 0, sizeof q.frame);
-            memset(q.part, 0, sizeof q.part);
         }
         tetcast_clip_destroy(clip);
         q.clip = NULL;
@@ -2489,7 +2501,6 @@ TEST(shaded_functions) {
     q.shader = &s;
     CHECK(tetcast_rbf_render(&q, m, o, &image, NULL) == TETCAST_ERR_INVALID_ARG);
     tetcast_optics_destroy(o);
-    tetcast_transfer_destroy(t);
     tetcast_rbf_destroy(m);
 }
 
@@ -2737,72 +2748,79 @@ TEST(recurrence) {
     CHECK_MSG(worst < 4e-5, "off by %.3g of the height", worst);
 }
 
-/* The k-th allocation fails, for all k. */
-TEST(out_of_memory) {
+/* What comes after a fit: its file, a picture, bricks. */
+static tetcast_result fitted_on(const tetcast_env *env, const tetcast_rbf *m, const tetcast_optics *o) {
     enum { W = 20 };
-    static float data[4 * 4 * 4], rgba[W * W * 4];
+    static float rgba[W * W * 4];
+    tetcast_rbf_render_desc q;
+    tetcast_bricks_desc bd;
+    tetcast_image image;
+    tetcast_rbf *again = NULL;
+    tetcast_bricks *b = NULL;
+    size_t size = 0;
+    void *bytes = save(m, &size);
+    tetcast_result result = tetcast_rbf_load_memory(env, bytes, size, &again);
+    CHECK((result == TETCAST_OK) == (again != NULL));
+    tetcast_rbf_destroy(again);
+    free(bytes);
+    memset(&q, 0, sizeof q);
+    memset(&image, 0, sizeof image);
+    q.env = *env;
+    image.width = image.height = W;
+    image.rgba = rgba;
+    if (result == TETCAST_OK) result = tetcast_rbf_render(&q, m, o, &image, NULL);
+    if (result != TETCAST_OK) return result;
+    memset(&bd, 0, sizeof bd);
+    bd.env = *env;
+    bd.log_cells = 3;
+    bd.max_error = 0.05f;
+    bd.longest_end = 17;
+    bd.checks = 100;
+    result = tetcast_bricks_create_rbf(&bd, m, TETCAST_RBF_CHANNEL_AUTO, 0, NULL, &b);
+    CHECK((result == TETCAST_OK) == (b != NULL));
+    tetcast_bricks_destroy(b);
+    return result;
+}
+
+/* The k-th allocation fails, for all k; quick: for every third. */
+TEST(out_of_memory) {
+    static float data[4 * 4 * 4];
     tetcast_rbf_points p = grid_points(data, 4, 4, 4, 1);
     tetcast_rbf *first = NULL;
     tetcast_optics *o = rbf_make_optics(TETCAST_MODEL_VOLUME, 0.5f);
     test_rng r = test_rng_make(14);
-    int64_t k;
-    int done = 0, i;
+    uint32_t how, i;
     for (i = 0; i < 64; i++) data[i] = test_rng_float(&r);
     CHECK(tetcast_rbf_fit(NULL, &p, NULL, &first) == TETCAST_OK);
-    for (k = 0; !done && k < 2000; k++) {
-        tetcast_rbf_fit_desc d;
-        tetcast_rbf_render_desc q;
-        tetcast_image image;
-        tetcast_rbf *m = NULL;
-        tetcast_result result;
-        test_alloc ta;
-        test_alloc_init(&ta);
-        ta.fail_at = k;
-        memset(&d, 0, sizeof d);
-        memset(&q, 0, sizeof q);
-        memset(&image, 0, sizeof image);
-        d.env.allocator.alloc_fn = test_alloc_fn;
-        d.env.allocator.free_fn = test_free_fn;
-        d.env.allocator.user = &ta;
-        d.env.thread_count = 1;
-        d.max_error = 0.3f;
-        d.compare = 1;
-        d.between = k % 3 == 0; /* the others have plates */
-        d.start = k % 2 == 0 ? first : NULL;
-        result = tetcast_rbf_fit(&d, &p, NULL, &m);
-        CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && m == NULL));
-        if (result == TETCAST_OK) {
-            size_t size = 0;
-            void *bytes = save(m, &size);
-            tetcast_rbf *again = NULL;
-            result = tetcast_rbf_load_memory(&d.env, bytes, size, &again);
-            CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && again == NULL));
-            tetcast_rbf_destroy(again);
-            free(bytes);
-            q.env = d.env;
-            image.width = image.height = W;
-            image.rgba = rgba;
-            if (result == TETCAST_OK) result = tetcast_rbf_render(&q, m, o, &image, NULL);
-            CHECK(result == TETCAST_OK || result == TETCAST_ERR_NO_MEMORY);
-            if (result == TETCAST_OK) {
-                tetcast_bricks_desc bd;
-                tetcast_bricks *b = NULL;
-                memset(&bd, 0, sizeof bd);
-                bd.env = d.env;
-                bd.log_cells = 3;
-                bd.max_error = 0.05f;
-                bd.longest_end = 17;
-                bd.checks = 100;
-                result = tetcast_bricks_create_rbf(&bd, m, TETCAST_RBF_CHANNEL_AUTO, 0, NULL, &b);
-                CHECK(result == TETCAST_OK ? b != NULL : result == TETCAST_ERR_NO_MEMORY && b == NULL);
-                tetcast_bricks_destroy(b);
-            }
+    for (how = 0; how < 4; how++) { /* from nothing or from another, with plates or held down between the points */
+        int64_t k;
+        int done = 0;
+        for (k = test_quick() ? how % 3 : 0; !done && k < 2000; k += test_quick() ? 3 : 1) {
+            tetcast_rbf_fit_desc d;
+            tetcast_rbf *m = NULL;
+            tetcast_result result;
+            test_alloc ta;
+            test_alloc_init(&ta);
+            ta.fail_at = k;
+            memset(&d, 0, sizeof d);
+            d.env.allocator.alloc_fn = test_alloc_fn;
+            d.env.allocator.free_fn = test_free_fn;
+            d.env.allocator.user = &ta;
+            d.env.thread_count = 1;
+            d.max_error = 0.3f;
+            d.compare = 1;
+            d.between = how >= 2;
+            d.start = how % 2 != 0 ? first : NULL;
+            result = tetcast_rbf_fit(&d, &p, NULL, &m);
+            CHECK((result == TETCAST_OK) == (m != NULL));
+            if (result == TETCAST_OK && how == 0) result = fitted_on(&d.env, m, o);
+            CHECK(result == TETCAST_OK || (result == TETCAST_ERR_NO_MEMORY && ta.failed != 0));
             done = result == TETCAST_OK;
+            tetcast_rbf_destroy(m);
+            test_alloc_check(&ta);
         }
-        tetcast_rbf_destroy(m);
-        test_alloc_check(&ta);
+        CHECK_MSG(done && k > 20, "%u: %d", how, (int)k);
     }
-    CHECK(done && k > 20);
     tetcast_rbf_destroy(first);
     tetcast_optics_destroy(o);
 }
