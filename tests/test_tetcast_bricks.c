@@ -830,11 +830,48 @@ TEST(planes_and_sections) {
     tets_free(&m);
 }
 
+enum { VIEW_W = 40, VIEW_H = 30 };
+
+/* A picture of a plane in the mesh against rays that meet it: what is in no tetrahedron is not seen. */
+static void check_plane_view(const tets *m, const tetcast_plane *plane, const tetcast_camera *cam, const float *out, const float *depth, int round) {
+    size_t i, c, wrong = 0, seen = 0;
+    double off = 0, deep = 0, n[3], forward[3], length = 0;
+    int k;
+    for (k = 0; k < 3; k++) {
+        n[k] = plane->u[(k + 1) % 3] * plane->v[(k + 2) % 3] - plane->u[(k + 2) % 3] * plane->v[(k + 1) % 3];
+        forward[k] = cam->at[k] - cam->eye[k];
+        length += forward[k] * forward[k];
+    }
+    for (i = 0; i < VIEW_W * VIEW_H; i++) {
+        tetcast_ray ray;
+        double p[3], v, least = -1e9, t, up = 0, along = 0, z = 0;
+        CHECK(tetcast_camera_ray(cam, VIEW_W, VIEW_H, (double)(i % VIEW_W) + 0.5, (double)(i / VIEW_W) + 0.5, &ray) == TETCAST_OK);
+        for (k = 0; k < 3; k++) {
+            up += n[k] * (plane->origin[k] - ray.org[k]);
+            along += n[k] * ray.dir[k];
+            z += ray.dir[k] * forward[k] / sqrt(length);
+        }
+        t = up / along;
+        for (k = 0; k < 3; k++) p[k] = ray.org[k] + t * ray.dir[k];
+        for (c = 0; c < m->nt && (t > 0 || cam->ortho_height > 0); c++) {
+            const double at = inside(m, c, p, &v);
+            least = at > least ? at : least;
+        }
+        if (least > -1e-6 && least < 1e-9) continue;
+        wrong += (least >= -1e-9) != (out[i] == out[i]) || (out[i] == out[i]) != (depth[i] < 1e30f);
+        if (!(out[i] == out[i])) continue;
+        seen++;
+        off = fmax(off, fabs((double)out[i] - linear_at(p)));
+        deep = fmax(deep, fabs((double)depth[i] - t * z));
+    }
+    CHECK_MSG(wrong == 0, "round %d: %lu wrong", round, (unsigned long)wrong);
+    CHECK_MSG(off < 3e-5 && deep < 3e-5, "round %d: %g %g", round, off, deep);
+    if (round % 3 == 1) CHECK_MSG(seen > 0, "round %d", round);
+}
 
 /* A plane as a camera sees it: each pixel is what a ray finds in the cells where it meets the plane; and how deep. */
 TEST(planes_in_perspective) {
-    enum { W = 40, H = 30 };
-    static float out[W * H], depth[W * H];
+    static float out[VIEW_W * VIEW_H], depth[VIEW_W * VIEW_H];
     tets m;
     tetcast_mesh *mesh;
     test_rng r = test_rng_make(31);
@@ -848,8 +885,6 @@ TEST(planes_in_perspective) {
     for (round = 0; round < 12; round++) {
         tetcast_plane plane;
         tetcast_camera cam;
-        size_t i, c, wrong = 0, seen = 0;
-        double off = 0, deep = 0, n[3], forward[3], length = 0;
         int k;
         memset(&cam, 0, sizeof cam);
         for (k = 0; k < 3; k++) {
@@ -861,37 +896,8 @@ TEST(planes_in_perspective) {
         }
         cam.fov_y = round % 2 ? 100.0f : 40.0f;
         if (round % 4 == 2) cam.ortho_height = 5.0f;
-        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, W, H, out, depth), TETCAST_OK);
-        for (k = 0; k < 3; k++) {
-            n[k] = plane.u[(k + 1) % 3] * plane.v[(k + 2) % 3] - plane.u[(k + 2) % 3] * plane.v[(k + 1) % 3];
-            forward[k] = cam.at[k] - cam.eye[k];
-            length += forward[k] * forward[k];
-        }
-        for (i = 0; i < W * H; i++) {
-            tetcast_ray ray;
-            double p[3], v, least = -1e9, t, up = 0, along = 0, z = 0;
-            REQUIRE(tetcast_camera_ray(&cam, W, H, (double)(i % W) + 0.5, (double)(i / W) + 0.5, &ray) == TETCAST_OK);
-            for (k = 0; k < 3; k++) {
-                up += n[k] * (plane.origin[k] - ray.org[k]);
-                along += n[k] * ray.dir[k];
-                z += ray.dir[k] * forward[k] / sqrt(length);
-            }
-            t = up / along;
-            for (k = 0; k < 3; k++) p[k] = ray.org[k] + t * ray.dir[k];
-            for (c = 0; c < m.nt && (t > 0 || cam.ortho_height > 0); c++) {
-                const double at = inside(&m, c, p, &v);
-                least = at > least ? at : least;
-            }
-            if (least > -1e-6 && least < 1e-9) continue;
-            wrong += (least >= -1e-9) != (out[i] == out[i]) || (out[i] == out[i]) != (depth[i] < 1e30f);
-            if (!(out[i] == out[i])) continue;
-            seen++;
-            off = fmax(off, fabs((double)out[i] - linear_at(p)));
-            deep = fmax(deep, fabs((double)depth[i] - t * z));
-        }
-        CHECK_MSG(wrong == 0, "round %d: %lu wrong", round, (unsigned long)wrong);
-        CHECK_MSG(off < 3e-5 && deep < 3e-5, "round %d: %g %g", round, off, deep);
-        if (round % 3 == 1) CHECK_MSG(seen > 0, "round %d", round);
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, VIEW_W, VIEW_H, out, depth), TETCAST_OK);
+        check_plane_view(&m, &plane, &cam, out, depth, round);
     }
     for (round = 0; round < 2000; round++) { /* just above the plane: what is seen is in the mesh, also at the horizon */
         tetcast_plane plane;
@@ -924,11 +930,11 @@ TEST(planes_in_perspective) {
         cam.eye[2] = 1;
         cam.eye[0] = -3;
         cam.at[0] = cam.at[2] = 1;
-        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, W, H, out, NULL), TETCAST_OK);
-        for (i = 0; i < W * H; i++) seen += out[i] == out[i];
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, VIEW_W, VIEW_H, out, NULL), TETCAST_OK);
+        for (i = 0; i < VIEW_W * VIEW_H; i++) seen += out[i] == out[i];
         CHECK_EQ_U64(seen, 0);
         cam.fov_y = 190;
-        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, W, H, out, NULL), TETCAST_ERR_INVALID_ARG);
+        CHECK_EQ_U64(tetcast_plane_view(NULL, mesh, &plane, &cam, VIEW_W, VIEW_H, out, NULL), TETCAST_ERR_INVALID_ARG);
     }
     tetcast_mesh_destroy(mesh);
     tets_free(&m);
@@ -2524,6 +2530,52 @@ TEST(thick_layers) {
         }
 }
 
+/* A ball in nothing, about a place in the lattice. */
+static void put_ball(const tetcast_lattice *l, float *v, test_rng *rng) {
+    double blob[3];
+    size_t i;
+    uint32_t a;
+    for (a = 0; a < 3; a++) blob[a] = test_rng_double(rng) * (l->dims[a] - 1);
+    for (i = 0; i < node_count(l); i++) {
+        const double q[3] = {(double)(i % l->dims[0]) - blob[0], (double)(i / l->dims[0] % l->dims[1]) - blob[1],
+                             (double)(i / l->dims[0] / l->dims[1]) - blob[2]};
+        v[i] = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] < 40 ? 1.0f : 0.0f;
+    }
+}
+
+/* A camera of the kind that is this round's turn: every third eye may be in the lattice. */
+static void look_about(tetcast_brick_render_desc *d, const double lo[3], const double hi[3], double wide, int round, test_rng *rng) {
+    uint32_t a;
+    for (a = 0; a < 3; a++) {
+        const double far_off = round % 3 == 0 ? 0.3 : 2.0;
+        d->camera.eye[a] = 0.5 * (lo[a] + hi[a]) + far_off * wide * (2 * test_rng_double(rng) - 1);
+        d->camera.at[a] = lo[a] + (hi[a] - lo[a]) * test_rng_double(rng) + 1e-3;
+    }
+    d->camera.fov_y = (float)(10 + 120 * test_rng_double(rng));
+    if (round % 4 == 1) d->camera.ortho_height = (float)wide;
+    if (round % 7 == 2) {
+        d->frame[0] = 100;
+        d->frame[1] = 80;
+        d->part[0] = 33;
+        d->part[1] = 20;
+    }
+}
+
+/* The slot of bricks that a place is in, or 0 outside of the lattice. */
+static int slot_at(const tetcast_lattice *l, const tetcast_bricks *b, const double p[3], size_t *slot) {
+    uint32_t a;
+    *slot = 0;
+    for (a = 3; a-- > 0;) {
+        const double q = (p[a] - l->origin[a]) / l->spacing[a];
+        const double thin = l->dims[a] > 1 ? 0 : 0.5;
+        uint32_t s;
+        if (!(q >= -thin && q <= l->dims[a] - 1 + thin)) return 0;
+        s = q > 0 ? (uint32_t)q >> b->log : 0;
+        *slot = *slot * b->slots[a] + (s < b->slots[a] ? s : b->slots[a] - 1);
+    }
+    return 1;
+}
+
 /* Whatever is in a slot that is seen lies within the reach of its pixel's bin, and bins are not all of the picture: cameras
    outside and inside, parallel, parts of a frame, flat lattices, uneven spacing, more slots than there may be boxes. */
 TEST(reach_of_bins) {
@@ -2549,7 +2601,7 @@ TEST(reach_of_bins) {
         tetcast_brick_render_desc d;
         tetcast_image image;
         tetcasti_brick_frame c;
-        double blob[3], lo[3], hi[3], wide = 0;
+        double lo[3], hi[3], wide = 0;
         uint32_t x, y, a, k;
         size_t i;
         REQUIRE(v != NULL);
@@ -2557,13 +2609,8 @@ TEST(reach_of_bins) {
             lo[a] = l->origin[a];
             hi[a] = lo[a] + (l->dims[a] - 1) * l->spacing[a];
             wide = fmax(wide, hi[a] - lo[a]);
-            blob[a] = test_rng_double(&rng) * (l->dims[a] - 1);
         }
-        for (i = 0; i < nodes; i++) { /* a ball in nothing */
-            const double q[3] = {(double)(i % l->dims[0]) - blob[0], (double)(i / l->dims[0] % l->dims[1]) - blob[1],
-                                 (double)(i / l->dims[0] / l->dims[1]) - blob[2]};
-            v[i] = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] < 40 ? 1.0f : 0.0f;
-        }
+        put_ball(l, v, &rng);
         b = make_bricks(l, v, TETCAST_TYPE_F32, 3, 0);
         cut = make_cut(b, NULL, 0);
         memset(&td, 0, sizeof td);
@@ -2575,19 +2622,7 @@ TEST(reach_of_bins) {
         REQUIRE(tetcast_transfer_create(&td, &t) == TETCAST_OK && tetcast_optics_create(t, NULL, &o) == TETCAST_OK);
         image.width = 61;
         image.height = 45;
-        for (a = 0; a < 3; a++) { /* every third eye may be in the lattice */
-            const double far_off = round % 3 == 0 ? 0.3 : 2.0;
-            d.camera.eye[a] = 0.5 * (lo[a] + hi[a]) + far_off * wide * (2 * test_rng_double(&rng) - 1);
-            d.camera.at[a] = lo[a] + (hi[a] - lo[a]) * test_rng_double(&rng) + 1e-3;
-        }
-        d.camera.fov_y = (float)(10 + 120 * test_rng_double(&rng));
-        if (round % 4 == 1) d.camera.ortho_height = (float)wide;
-        if (round % 7 == 2) {
-            d.frame[0] = 100;
-            d.frame[1] = 80;
-            d.part[0] = 33;
-            d.part[1] = 20;
-        }
+        look_about(&d, lo, hi, wide, round, &rng);
         c.desc = &d;
         c.cut = cut;
         c.optics = o;
@@ -2602,18 +2637,10 @@ TEST(reach_of_bins) {
                 length = sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
                 for (k = 0; k < 60; k++) {
                     const double at = test_rng_double(&rng) * 5 * wide;
-                    size_t slot = 0;
-                    int in = 1;
-                    for (a = 3; a-- > 0;) {
-                        const double q = (from[a] + at * way[a] / length - lo[a]) / l->spacing[a];
-                        const double thin = l->dims[a] > 1 ? 0 : 0.5;
-                        uint32_t s;
-                        in &= q >= -thin && q <= l->dims[a] - 1 + thin;
-                        if (!in) break;
-                        s = q > 0 ? (uint32_t)q >> b->log : 0;
-                        slot = slot * b->slots[a] + (s < b->slots[a] ? s : b->slots[a] - 1);
-                    }
-                    if (!in) continue;
+                    double place[3];
+                    size_t slot;
+                    for (a = 0; a < 3; a++) place[a] = from[a] + at * way[a] / length;
+                    if (!slot_at(l, b, place, &slot)) continue;
                     looked++;
                     if (!(c.skip[slot] & TETCASTI_SEEN)) continue;
                     seen++;
@@ -2807,6 +2834,29 @@ static void cube_points(double p[8][3], double lo, double hi) {
         for (k = 0; k < 3; k++) p[i][k] = i >> k & 1 ? hi : lo;
 }
 
+/* How much of a ray is in the box of 0 to 4, above 0.25 in z, but not in that of 1 to 3. */
+static double length_by_boxes(const tetcast_ray *ray) {
+    const double length = sqrt(ray->dir[0] * ray->dir[0] + ray->dir[1] * ray->dir[1] + ray->dir[2] * ray->dir[2]);
+    double ends[2][2], want;
+    int i, k;
+    for (i = 0; i < 2; i++) {
+        ends[i][0] = -20;
+        ends[i][1] = 20;
+        for (k = 0; k < 3; k++) {
+            const double lo = i == 0 ? (k == 2 ? 0.25 : 0) : 1, hi = i == 0 ? 4 : 3, dir = ray->dir[k] / length;
+            if (dir == 0) {
+                if (ray->org[k] < lo || ray->org[k] > hi) ends[i][1] = ends[i][0];
+                continue;
+            }
+            ends[i][0] = fmax(ends[i][0], fmin((lo - ray->org[k]) / dir, (hi - ray->org[k]) / dir));
+            ends[i][1] = fmin(ends[i][1], fmax((lo - ray->org[k]) / dir, (hi - ray->org[k]) / dir));
+        }
+    }
+    want = ends[0][1] > ends[0][0] ? ends[0][1] - ends[0][0] : 0;
+    if (ends[1][1] > ends[1][0]) want -= ends[1][1] - ends[1][0];
+    return want;
+}
+
 TEST(clip_spans) {
     double outer[8][3], inner[8][3];
     tetcast_clip_body body[2];
@@ -2835,7 +2885,7 @@ TEST(clip_spans) {
     REQUIRE(tetcast_clip_create(&d, &c) == TETCAST_OK);
     for (n = 0; n < 3000; n++) {
         tetcast_ray ray;
-        double spans[8][2], t, want = 0, got = 0;
+        double spans[8][2], got = 0;
         uint32_t count, j;
         int k;
         memset(&ray, 0, sizeof ray);
@@ -2852,28 +2902,7 @@ TEST(clip_spans) {
             got += spans[j][1] - spans[j][0];
         }
         if (n % 3 == 0) continue; /* on a side both answers are right: only order and ends are looked at */
-        { /* the same by boxes */
-            double length = sqrt(ray.dir[0] * ray.dir[0] + ray.dir[1] * ray.dir[1] + ray.dir[2] * ray.dir[2]);
-            double ends[2][2];
-            for (i = 0; i < 2; i++) {
-                ends[i][0] = -20;
-                ends[i][1] = 20;
-                for (k = 0; k < 3; k++) {
-                    const double lo = i == 0 ? (k == 2 ? 0.25 : 0) : k == 2 ? 1 : 1, hi = i == 0 ? 4 : 3, dir = ray.dir[k] / length;
-                    if (dir == 0) {
-                        if (ray.org[k] < lo || ray.org[k] > hi) ends[i][1] = ends[i][0];
-                        continue;
-                    }
-                    t = (lo - ray.org[k]) / dir;
-                    want = (hi - ray.org[k]) / dir;
-                    ends[i][0] = ends[i][0] > (t < want ? t : want) ? ends[i][0] : (t < want ? t : want);
-                    ends[i][1] = ends[i][1] < (t < want ? want : t) ? ends[i][1] : (t < want ? want : t);
-                }
-            }
-            want = ends[0][1] > ends[0][0] ? ends[0][1] - ends[0][0] : 0;
-            if (ends[1][1] > ends[1][0]) want -= ends[1][1] - ends[1][0];
-            CHECK_NEAR(got, want, 1e-9);
-        }
+        CHECK_NEAR(got, length_by_boxes(&ray), 1e-9);
     }
     tetcast_clip_destroy(c);
     d.body_count = 0; /* without an end: 1e300, however the ray says so */
@@ -2913,11 +2942,59 @@ TEST(clip_spans) {
     CHECK(c == NULL && error.where == 0xffffff);
 }
 
+/* The function of Marschner and Lobb with three waves. */
+static void put_waves(const tetcast_lattice *l, float *values) {
+    size_t i;
+    for (i = 0; i < node_count(l); i++) {
+        double p[3];
+        int k;
+        for (k = 0; k < 3; k++)
+            p[k] = 2.0 * (double)(k == 0 ? i % l->dims[0] : k == 1 ? i / l->dims[0] % l->dims[1] : i / l->dims[0] / l->dims[1]) /
+                   (double)(l->dims[k] - 1) - 1.0;
+        values[i] = (float)((1.0 - sin(1.5708 * p[2]) + 0.25 * (1.0 + cos(9.4248 * cos(1.5708 * hypot(p[0], p[1]))))) / 2.5);
+    }
+}
+
+/* Where a ray is in the box of a lattice, in ends, which hold how far it is looked at. */
+static int box_span(const tetcast_lattice *l, const tetcast_ray *ray, double ends[2]) {
+    int k;
+    for (k = 0; k < 3; k++) {
+        const double near_side = (l->origin[k] - ray->org[k]) / ray->dir[k];
+        const double far_side = (l->origin[k] + (l->dims[k] - 1) * l->spacing[k] - ray->org[k]) / ray->dir[k];
+        if (fabs(ray->dir[k]) < 1e-12) {
+            if (ray->org[k] < l->origin[k] || ray->org[k] > l->origin[k] + (l->dims[k] - 1) * l->spacing[k]) ends[1] = -1.0;
+            continue;
+        }
+        ends[0] = fmax(ends[0], fmin(near_side, far_side));
+        ends[1] = fmin(ends[1], fmax(near_side, far_side));
+    }
+    return ends[1] > ends[0];
+}
+
+/* The colour of a ray by many short segments, each linear between samples. */
+static void integrate_cut(const tetcast_cut *c, const tetcast_lattice *l, const tetcast_optics *o, const tetcast_ray *ray, const double ends[2],
+                          float want[4]) {
+    enum { N = 4000 };
+    static float x[3][N + 1], v[N + 1];
+    static tetcast_segment segment[N];
+    int j, k;
+    for (j = 0; j <= N; j++)
+        for (k = 0; k < 3; k++)
+            x[k][j] = (float)((ray->org[k] + ray->dir[k] * (ends[0] + (ends[1] - ends[0]) * j / N) - l->origin[k]) / l->spacing[k]);
+    tetcast_cut_sample(c, x[0], x[1], x[2], N + 1, TETCAST_ISA_AUTO, v);
+    for (j = 0; j < N; j++) {
+        segment[j].front = v[j];
+        segment[j].back = v[j + 1];
+        segment[j].length = (float)((ends[1] - ends[0]) / N);
+        segment[j].depth = 0.0f;
+    }
+    CHECK_EQ_U64(tetcast_optics_ray(o, segment, N, want, NULL), TETCAST_OK);
+}
+
 /* All models against rays in 4000 pieces of the same field; uneven spacings, a thin slab, along the axes and not. */
 TEST(pictures_against_rays) {
-    enum { W = 32, H = 24, N = 4000 };
-    static float rgba[W * H * 4], x[3][N + 1], v[N + 1];
-    static tetcast_segment segment[N];
+    enum { W = 32, H = 24 };
+    static float rgba[W * H * 4];
     static const uint32_t dims[3][3] = {{33, 33, 33}, {17, 21, 9}, {2, 18, 25}};
     static const tetcast_model models[5] = {TETCAST_MODEL_VOLUME, TETCAST_MODEL_EMISSION, TETCAST_MODEL_ABSORPTION,
                                             TETCAST_MODEL_MAXIMUM, TETCAST_MODEL_ISOSURFACE};
@@ -2930,14 +3007,7 @@ TEST(pictures_against_rays) {
         double depth = 0.0;
         size_t i;
         if (shape == 1) l.spacing[2] = 1000.0;
-        for (i = 0; i < node_count(&l); i++) { /* of Marschner and Lobb, three waves */
-            double p[3];
-            int k;
-            for (k = 0; k < 3; k++)
-                p[k] = 2.0 * (double)(k == 0 ? i % l.dims[0] : k == 1 ? i / l.dims[0] % l.dims[1] : i / l.dims[0] / l.dims[1]) /
-                       (double)(l.dims[k] - 1) - 1.0;
-            values[i] = (float)((1.0 - sin(1.5708 * p[2]) + 0.25 * (1.0 + cos(9.4248 * cos(1.5708 * hypot(p[0], p[1]))))) / 2.5);
-        }
+        put_waves(&l, values);
         b = make_bricks(&l, values, TETCAST_TYPE_F32, 3, 0);
         c = make_cut(b, NULL, 0);
         for (i = 0; i < 3; i++) depth += (l.dims[i] - 1) * (shape == 1 ? 1.0 : l.spacing[i]) / 3.0;
@@ -2979,31 +3049,11 @@ TEST(pictures_against_rays) {
                 tetcast_ray ray;
                 double ends[2] = {0.0, 1e30};
                 float want[4];
-                int k, j;
+                int k;
                 (void)tetcast_camera_ray(&d.camera, W, H, pixel % W + 0.5, pixel / W + 0.5, &ray);
-                for (k = 0; k < 3; k++) {
-                    const double near_side = (l.origin[k] - ray.org[k]) / ray.dir[k];
-                    const double far_side = (l.origin[k] + (l.dims[k] - 1) * l.spacing[k] - ray.org[k]) / ray.dir[k];
-                    if (fabs(ray.dir[k]) < 1e-12) {
-                        if (ray.org[k] < l.origin[k] || ray.org[k] > l.origin[k] + (l.dims[k] - 1) * l.spacing[k]) ends[1] = -1.0;
-                        continue;
-                    }
-                    ends[0] = fmax(ends[0], fmin(near_side, far_side));
-                    ends[1] = fmin(ends[1], fmax(near_side, far_side));
-                }
                 memset(want, 0, sizeof want);
-                if (ends[1] > ends[0]) {
-                    for (j = 0; j <= N; j++)
-                        for (k = 0; k < 3; k++)
-                            x[k][j] = (float)((ray.org[k] + ray.dir[k] * (ends[0] + (ends[1] - ends[0]) * j / N) - l.origin[k]) / l.spacing[k]);
-                    tetcast_cut_sample(c, x[0], x[1], x[2], N + 1, TETCAST_ISA_AUTO, v);
-                    for (j = 0; j < N; j++) {
-                        segment[j].front = v[j];
-                        segment[j].back = v[j + 1];
-                        segment[j].length = (float)((ends[1] - ends[0]) / N);
-                        segment[j].depth = 0.0f;
-                    }
-                    CHECK_EQ_U64(tetcast_optics_ray(o, segment, N, want, NULL), TETCAST_OK);
+                if (box_span(&l, &ray, ends)) {
+                    integrate_cut(c, &l, o, &ray, ends, want);
                     seen++;
                 }
                 for (k = models[model] == TETCAST_MODEL_ISOSURFACE ? 3 : 0; k < 4; k++) { /* light on surfaces: test sphere */
@@ -3796,81 +3846,99 @@ static int ray_in_tet(const tets *m, size_t cell, const tetcast_ray *ray, double
     return ends[1] > ends[0];
 }
 
-/* Tetrahedra ray by ray: the picture of the walker, what a shader is told, half of a body cut away, parts of a frame. */
-TEST(shaded_tetrahedra) {
-    enum { W = 48, H = 40 };
-    static float a[W * H * 4], b[W * H * 4], e[W * H * 4], length[2][W * H], depth[2][W * H];
-    static const double hole[2] = {1.0, 3.5};
+enum { SHADED_W = 48, SHADED_H = 40, SHADED_N = SHADED_W * SHADED_H };
+typedef struct shaded_tets { /* a mesh of linear values, two pictures of it, the second with the way and the depth of each pixel */
     tets m;
     tetcast_mesh *mesh;
-    tetcast_optics *o = flat_optics(0.3f, TETCAST_MODEL_VOLUME);
-    tetcast_shade_desc d;
-    tetcast_render_desc rd;
     tetcast_mesh_info info;
+    tetcast_optics *o;
+    tetcast_shade_desc d;
     tetcast_image image;
-    tetcast_shader s;
+    float a[4 * SHADED_N], b[4 * SHADED_N], length[SHADED_N], depth[SHADED_N];
+} shaded_tets;
+
+static int shaded_tets_make(shaded_tets *s) {
+    memset(s, 0, sizeof *s);
+    s->o = flat_optics(0.3f, TETCAST_MODEL_VOLUME);
+    tets_lattice(&s->m, 6, 6, 6, 5, NULL);
+    tets_jitter(&s->m, 6, 6, 6, 0.5, 3);
+    make_linear(&s->m);
+    s->mesh = tets_build(&s->m, TETCAST_CELLS_TET16, NULL);
+    if (s->mesh == NULL) return 0;
+    tetcast_mesh_get_info(s->mesh, &s->info);
+    s->d.camera.fov_y = 50.0f;
+    CHECK_EQ_U64(tetcast_camera_fit(&s->d.camera, s->info.box_min, s->info.box_max, NULL, SHADED_W, SHADED_H), TETCAST_OK);
+    s->image.width = SHADED_W;
+    s->image.height = SHADED_H;
+    s->image.rgba = s->b;
+    s->image.length = s->length;
+    s->image.depth = s->depth;
+    return 1;
+}
+
+/* Without a shader the picture is the walker's, which is left in a. */
+static void shaded_as_walked(shaded_tets *s) {
+    static float length[SHADED_N], depth[SHADED_N];
+    tetcast_render_desc rd;
+    tetcast_image image = s->image;
+    double worst = 0, worst_length = 0;
+    uint32_t i, k;
+    memset(&rd, 0, sizeof rd);
+    rd.camera = s->d.camera;
+    image.rgba = s->a;
+    image.length = length;
+    image.depth = depth;
+    CHECK_EQ_U64(tetcast_render(&rd, s->mesh, s->o, &image, NULL), TETCAST_OK);
+    CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, s->o, &s->image, NULL), TETCAST_OK);
+    for (i = 0; i < SHADED_N; i++) {
+        for (k = 0; k < 4; k++) worst = fmax(worst, fabs((double)s->a[4 * i + k] - (double)s->b[4 * i + k]));
+        worst_length = fmax(worst_length, fabs((double)length[i] - (double)s->length[i]));
+        CHECK((depth[i] < INFINITY) == (s->depth[i] < INFINITY));
+        if (depth[i] < INFINITY) CHECK_NEAR((double)depth[i], (double)s->depth[i], 1e-4);
+    }
+    CHECK_MSG(worst < 1e-5 && worst_length < 1e-4, "%g %g", worst, worst_length);
+}
+
+/* What a shader is told of the mesh; it makes the same picture as the optics did. */
+static void shaded_by_probe(shaded_tets *s) {
+    probe_shader probe = {0, 0};
     tetcast_param param = {"density", NULL, 1};
+    tetcast_shader shader;
+    float density = 0.3f;
+    double worst = 0;
+    uint32_t i;
+    memset(&shader, 0, sizeof shader);
+    shader.user = &probe;
+    shader.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_POSITION | TETCAST_NEED_DIRECTION;
+    shader.prepare_fn = probe_prepare;
+    shader.shade_fn = probe_shade;
+    shader.params = &param;
+    shader.param_count = 1;
+    s->d.shader = &shader;
+    CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, NULL, &s->image, NULL), TETCAST_ERR_INVALID_ARG);
+    param.values = &density;
+    CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, NULL, &s->image, NULL), TETCAST_OK);
+    for (i = 0; i < SHADED_N; i++) {
+        worst = fmax(worst, fabs((double)s->a[4 * i + 3] - (double)s->b[4 * i + 3]));
+        worst = fmax(worst, fabs((double)s->b[4 * i] - (double)s->b[4 * i + 3])); /* all of it fitted */
+    }
+    CHECK_MSG(worst < 3e-3, "%g", worst); /* a ray ends with 1/512 */
+    s->d.shader = NULL;
+}
+
+/* Half of the mesh is cut away by a plane, and a hole is in it. */
+static tetcast_clip *clip_with_hole(const tetcast_mesh_info *info) {
+    double corner[8][3];
     tetcast_clip_desc cd;
     tetcast_clip_plane plane;
     tetcast_clip_body body;
     tetcast_clip *clip = NULL;
-    probe_shader probe = {0, 0};
-    double corner[8][3], worst = 0, worst_shader = 0, worst_length = 0, worst_parts = 0;
-    float density = 0.3f;
-    uint32_t i, k;
-    memset(&m, 0, sizeof m);
-    tets_lattice(&m, 6, 6, 6, 5, NULL);
-    tets_jitter(&m, 6, 6, 6, 0.5, 3);
-    make_linear(&m);
-    mesh = tets_build(&m, TETCAST_CELLS_TET16, NULL);
-    REQUIRE(mesh != NULL);
-    tetcast_mesh_get_info(mesh, &info);
-    memset(&d, 0, sizeof d);
-    memset(&rd, 0, sizeof rd);
-    memset(&image, 0, sizeof image);
-    d.camera.fov_y = 50.0f;
-    CHECK_EQ_U64(tetcast_camera_fit(&d.camera, info.box_min, info.box_max, NULL, W, H), TETCAST_OK);
-    rd.camera = d.camera;
-    image.width = W;
-    image.height = H;
-    image.rgba = a;
-    image.length = length[0];
-    image.depth = depth[0];
-    CHECK_EQ_U64(tetcast_render(&rd, mesh, o, &image, NULL), TETCAST_OK);
-    image.rgba = b;
-    image.length = length[1];
-    image.depth = depth[1];
-    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
-    for (i = 0; i < W * H; i++) {
-        for (k = 0; k < 4; k++) worst = fmax(worst, fabs((double)a[4 * i + k] - (double)b[4 * i + k]));
-        worst_length = fmax(worst_length, fabs((double)length[0][i] - (double)length[1][i]));
-        CHECK((depth[0][i] < INFINITY) == (depth[1][i] < INFINITY));
-        if (depth[0][i] < INFINITY) CHECK_NEAR((double)depth[0][i], (double)depth[1][i], 1e-4);
-    }
-    CHECK_MSG(worst < 1e-5 && worst_length < 1e-4, "%g %g", worst, worst_length);
-    memset(&s, 0, sizeof s);
-    s.user = &probe;
-    s.needs = TETCAST_NEED_GRADIENT | TETCAST_NEED_POSITION | TETCAST_NEED_DIRECTION;
-    s.prepare_fn = probe_prepare;
-    s.shade_fn = probe_shade;
-    s.params = &param;
-    s.param_count = 1;
-    d.shader = &s;
-    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, NULL, &image, NULL), TETCAST_ERR_INVALID_ARG);
-    param.values = &density;
-    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, NULL, &image, NULL), TETCAST_OK);
-    for (i = 0; i < W * H; i++) {
-        worst_shader = fmax(worst_shader, fabs((double)a[4 * i + 3] - (double)b[4 * i + 3]));
-        worst_shader = fmax(worst_shader, fabs((double)b[4 * i] - (double)b[4 * i + 3])); /* all of it fitted */
-    }
-    CHECK_MSG(worst_shader < 3e-3, "%g", worst_shader); /* a ray ends with 1/512 */
-    /* a plane and a hole: ways by the box are known */
     memset(&cd, 0, sizeof cd);
     memset(&plane, 0, sizeof plane);
     memset(&body, 0, sizeof body);
     plane.normal[0] = 1.0;
-    plane.offset = 0.5 * (info.box_min[0] + info.box_max[0]);
-    cube_points(corner, hole[0], hole[1]);
+    plane.offset = 0.5 * (info->box_min[0] + info->box_max[0]);
+    cube_points(corner, 1.0, 3.5);
     body.points = (const double (*)[3])corner;
     body.point_count = 8;
     body.indices = g_cube;
@@ -3880,61 +3948,92 @@ TEST(shaded_tetrahedra) {
     cd.plane_count = 1;
     cd.bodies = &body;
     cd.body_count = 1;
-    REQUIRE(tetcast_clip_create(&cd, &clip) == TETCAST_OK);
-    d.shader = NULL;
-    d.clip = clip;
-    d.env.thread_count = 1;
-    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
-    worst = worst_length = 0;
-    for (i = 0; i < W * H; i++) { /* the mesh is convex */
+    CHECK_EQ_U64(tetcast_clip_create(&cd, &clip), TETCAST_OK);
+    return clip;
+}
+
+/* Ways through what is left, against spans of the clip and the mesh, which is convex. */
+static void clipped_lengths(shaded_tets *s) {
+    double worst = 0, worst_length = 0;
+    uint32_t i;
+    CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, s->o, &s->image, NULL), TETCAST_OK);
+    for (i = 0; i < SHADED_N; i++) {
         tetcast_ray ray;
         double span[8][2], want = 0, ends[2] = {0, 0}, enter = 1e300, leave = 0;
         uint32_t n, q;
-        CHECK_EQ_U64(tetcast_camera_ray(&d.camera, W, H, i % W + 0.5, i / W + 0.5, &ray), TETCAST_OK);
-        n = tetcast_clip_spans(clip, &ray, span, 8);
+        CHECK_EQ_U64(tetcast_camera_ray(&s->d.camera, SHADED_W, SHADED_H, i % SHADED_W + 0.5, i / SHADED_W + 0.5, &ray), TETCAST_OK);
+        n = tetcast_clip_spans(s->d.clip, &ray, span, 8);
         REQUIRE(n <= 8);
-        for (q = 0; q < m.nt; q++) { /* where the ray is in any tetrahedron */
-            if (!ray_in_tet(&m, q, &ray, ends)) continue;
+        for (q = 0; q < s->m.nt; q++) { /* where the ray is in any tetrahedron */
+            if (!ray_in_tet(&s->m, q, &ray, ends)) continue;
             enter = fmin(enter, ends[0]);
             leave = fmax(leave, ends[1]);
         }
         for (q = 0; q < n; q++)
             if (fmin(span[q][1], leave) > fmax(span[q][0], enter)) want += fmin(span[q][1], leave) - fmax(span[q][0], enter);
-        worst_length = fmax(worst_length, fabs(want - (double)length[1][i]));
-        worst = fmax(worst, fabs(1.0 - exp(-0.3 * want) - (double)b[4 * i + 3]));
+        worst_length = fmax(worst_length, fabs(want - (double)s->length[i]));
+        worst = fmax(worst, fabs(1.0 - exp(-0.3 * want) - (double)s->b[4 * i + 3]));
     }
     CHECK_MSG(worst_length < 1e-4 && worst < 1e-4, "%g %g", worst_length, worst);
-    memcpy(e, b, sizeof e); /* in four parts, by three threads: the same bits */
-    d.env.thread_count = 3;
-    d.frame[0] = W;
-    d.frame[1] = H;
+}
+
+/* In four parts, by three threads: the same bits. */
+static void shaded_in_parts(shaded_tets *s) {
+    uint32_t k;
+    s->d.env.thread_count = 3;
+    s->d.frame[0] = SHADED_W;
+    s->d.frame[1] = SHADED_H;
     for (k = 0; k < 4; k++) {
-        tetcast_image quarter = image;
-        d.part[0] = k & 1u ? 20 : 0;
-        d.part[1] = k >> 1 ? 9 : 0;
-        quarter.width = k & 1u ? W - 20 : 20;
-        quarter.height = k >> 1 ? H - 9 : 9;
-        quarter.rgba = a + 4 * (d.part[1] * W + d.part[0]);
-        quarter.rgba_stride = W * 16;
+        tetcast_image quarter = s->image;
+        s->d.part[0] = k & 1u ? 20 : 0;
+        s->d.part[1] = k >> 1 ? 9 : 0;
+        quarter.width = k & 1u ? SHADED_W - 20 : 20;
+        quarter.height = k >> 1 ? SHADED_H - 9 : 9;
+        quarter.rgba = s->a + 4 * (s->d.part[1] * SHADED_W + s->d.part[0]);
+        quarter.rgba_stride = SHADED_W * 16;
         quarter.length = quarter.depth = NULL;
-        CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &quarter, NULL), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, s->o, &quarter, NULL), TETCAST_OK);
     }
-    CHECK(memcmp(a, e, sizeof a) == 0);
-    memset(d.frame, 0, sizeof d.frame);
-    memset(d.part, 0, sizeof d.part);
-    d.clip_far = 7.0f; /* what is before a plane of the view, and what is behind it */
-    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
-    memcpy(a, b, sizeof a);
-    d.clip_near = 7.0f;
-    d.clip_far = 0.0f;
-    CHECK_EQ_U64(tetcast_render_shaded(&d, mesh, o, &image, NULL), TETCAST_OK);
-    tetcast_over(a, b, W * H);
-    for (i = 0; i < 4 * W * H; i++) worst_parts = fmax(worst_parts, fabs((double)a[i] - (double)e[i]));
-    CHECK_MSG(worst_parts < 1e-5, "%g", worst_parts);
+    CHECK(memcmp(s->a, s->b, sizeof s->a) == 0);
+    memset(s->d.frame, 0, sizeof s->d.frame);
+    memset(s->d.part, 0, sizeof s->d.part);
+}
+
+/* What is before a plane of the view over what is behind it: the picture of both. */
+static void shaded_before_and_behind(shaded_tets *s) {
+    static float whole[4 * SHADED_N];
+    double worst = 0;
+    uint32_t i;
+    memcpy(whole, s->b, sizeof whole);
+    s->d.clip_far = 7.0f;
+    CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, s->o, &s->image, NULL), TETCAST_OK);
+    memcpy(s->a, s->b, sizeof s->a);
+    s->d.clip_near = 7.0f;
+    s->d.clip_far = 0.0f;
+    CHECK_EQ_U64(tetcast_render_shaded(&s->d, s->mesh, s->o, &s->image, NULL), TETCAST_OK);
+    tetcast_over(s->a, s->b, SHADED_N);
+    for (i = 0; i < 4 * SHADED_N; i++) worst = fmax(worst, fabs((double)s->a[i] - (double)whole[i]));
+    CHECK_MSG(worst < 1e-5, "%g", worst);
+}
+
+/* Tetrahedra ray by ray: the picture of the walker, what a shader is told, half of a body cut away, parts of a frame. */
+TEST(shaded_tetrahedra) {
+    static shaded_tets s;
+    tetcast_clip *clip;
+    REQUIRE(shaded_tets_make(&s));
+    shaded_as_walked(&s);
+    shaded_by_probe(&s);
+    clip = clip_with_hole(&s.info);
+    REQUIRE(clip != NULL);
+    s.d.clip = clip;
+    s.d.env.thread_count = 1;
+    clipped_lengths(&s);
+    shaded_in_parts(&s);
+    shaded_before_and_behind(&s);
     tetcast_clip_destroy(clip);
-    tetcast_mesh_destroy(mesh);
-    tetcast_optics_destroy(o);
-    tets_free(&m);
+    tetcast_mesh_destroy(s.mesh);
+    tetcast_optics_destroy(s.o);
+    tets_free(&s.m);
 }
 
 static void half_shade(void *user, const tetcast_packet *in, float rgba[4][8]) {

@@ -819,60 +819,62 @@ TEST(camera) {
             CHECK(fabs(x / rr / z) < 1 && fabs(y / uu / z) < 1);
         }
     }
-    {
-        tetcast_camera c;
-        tetcast_ray r;
-        double lo[3] = {0, 0, 0}, hi[3] = {1, 1, 1};
-        memset(&c, 0, sizeof c);
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, 0, 0, &r), TETCAST_ERR_INVALID_ARG);
-        c.fov_y = 180;
-        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
-        c.fov_y = 40;
-        lo[0] = (double)NAN;
-        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
-        lo[0] = 2;
-        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
-        lo[0] = 0;
-        c.ortho_height = -1;
-        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
-        c.ortho_height = NAN;
-        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
-        c.ortho_height = 0;
-        CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_OK);
-        for (k = 0; k < 5; k++) { /* boxes that numbers hold, but not the camera that would see them: it stays as it was */
-            static const double half[5] = {1e307, 1e305, 1e39, 1e-50, 1};
-            tetcast_camera was = c, tried = c;
-            double from[3], to[3];
-            for (a = 0; a < 3; a++) {
-                from[a] = -half[k];
-                to[a] = half[k];
-            }
-            was.fov_y = k == 0 ? 1.0f : k == 1 ? 0.01f : 0.0f;
-            was.ortho_height = k == 2 || k == 3 ? 1.0f : 0.0f;
-            was.up[0] = k == 4 ? (double)NAN : 0;
-            tried = was;
-            CHECK_EQ_U64(tetcast_camera_fit(&tried, from, to, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
-            CHECK(memcmp(&tried, &was, sizeof was) == 0);
-            tried.fov_y = 40; /* what is too far or too large for one view is not for another */
-            tried.ortho_height = 0;
-            tried.up[0] = 0;
-            CHECK_EQ_U64(tetcast_camera_fit(&tried, from, to, NULL, 10, 10), TETCAST_OK);
-            CHECK_EQ_U64(tetcast_camera_ray(&tried, 10, 10, 5, 5, &r), TETCAST_OK);
+}
+
+TEST(camera_refusals) {
+    tetcast_camera c;
+    tetcast_ray r;
+    double lo[3] = {0, 0, 0}, hi[3] = {1, 1, 1};
+    uint32_t k, a;
+    memset(&c, 0, sizeof c);
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, 0, 0, &r), TETCAST_ERR_INVALID_ARG);
+    c.fov_y = 180;
+    CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+    c.fov_y = 40;
+    lo[0] = (double)NAN;
+    CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+    lo[0] = 2;
+    CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+    lo[0] = 0;
+    c.ortho_height = -1;
+    CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+    c.ortho_height = NAN;
+    CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+    c.ortho_height = 0;
+    CHECK_EQ_U64(tetcast_camera_fit(&c, lo, hi, NULL, 10, 10), TETCAST_OK);
+    for (k = 0; k < 5; k++) { /* boxes that numbers hold, but not the camera that would see them: it stays as it was */
+        static const double half[5] = {1e307, 1e305, 1e39, 1e-50, 1};
+        tetcast_camera was = c, tried = c;
+        double from[3], to[3];
+        for (a = 0; a < 3; a++) {
+            from[a] = -half[k];
+            to[a] = half[k];
         }
-        r.dir[0] = 7;
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 0, 0, 0, &r), TETCAST_ERR_INVALID_ARG);
-        CHECK(r.dir[0] == 0);
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, (double)NAN, 0, &r), TETCAST_ERR_INVALID_ARG);
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, 0, (double)INFINITY, &r), TETCAST_ERR_INVALID_ARG);
-        c.ortho_height = 6; /* finite, but where the ray begins is not */
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 1, 1, 1.7e308, 0, &r), TETCAST_ERR_INVALID_ARG);
-        CHECK(r.org[0] == 0 && r.dir[0] == 0);
-        c.ortho_height = 0;
-        c.fov_y = 170;
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 1, 1, 1.7e308, 0, &r), TETCAST_ERR_INVALID_ARG);
-        CHECK_EQ_U64(tetcast_camera_ray(&c, 1, 1, 1e300, 0, &r), TETCAST_OK);
-        CHECK_NEAR(r.dir[0] * r.dir[0] + r.dir[1] * r.dir[1] + r.dir[2] * r.dir[2], 1, 1e-12);
+        was.fov_y = k == 0 ? 1.0f : k == 1 ? 0.01f : 0.0f;
+        was.ortho_height = k == 2 || k == 3 ? 1.0f : 0.0f;
+        was.up[0] = k == 4 ? (double)NAN : 0;
+        tried = was;
+        CHECK_EQ_U64(tetcast_camera_fit(&tried, from, to, NULL, 10, 10), TETCAST_ERR_INVALID_ARG);
+        CHECK(memcmp(&tried, &was, sizeof was) == 0);
+        tried.fov_y = 40; /* what is too far or too large for one view is not for another */
+        tried.ortho_height = 0;
+        tried.up[0] = 0;
+        CHECK_EQ_U64(tetcast_camera_fit(&tried, from, to, NULL, 10, 10), TETCAST_OK);
+        CHECK_EQ_U64(tetcast_camera_ray(&tried, 10, 10, 5, 5, &r), TETCAST_OK);
     }
+    r.dir[0] = 7;
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 0, 0, 0, &r), TETCAST_ERR_INVALID_ARG);
+    CHECK(r.dir[0] == 0);
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, (double)NAN, 0, &r), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 10, 10, 0, (double)INFINITY, &r), TETCAST_ERR_INVALID_ARG);
+    c.ortho_height = 6; /* finite, but where the ray begins is not */
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 1, 1, 1.7e308, 0, &r), TETCAST_ERR_INVALID_ARG);
+    CHECK(r.org[0] == 0 && r.dir[0] == 0);
+    c.ortho_height = 0;
+    c.fov_y = 170;
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 1, 1, 1.7e308, 0, &r), TETCAST_ERR_INVALID_ARG);
+    CHECK_EQ_U64(tetcast_camera_ray(&c, 1, 1, 1e300, 0, &r), TETCAST_OK);
+    CHECK_NEAR(r.dir[0] * r.dir[0] + r.dir[1] * r.dir[1] + r.dir[2] * r.dir[2], 1, 1e-12);
 }
 
 /* ---- arguments, memory ---- */
@@ -1396,6 +1398,7 @@ int main(int argc, char **argv) {
     RUN(leaping);
     RUN(early_end);
     RUN(camera);
+    RUN(camera_refusals);
     RUN(arguments);
     RUN(memory);
     RUN(real_meshes);
