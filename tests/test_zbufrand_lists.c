@@ -422,6 +422,33 @@ static double chi2_p(double x, double freedom) {
     return 0.5 * erfc(z / sqrt(2.0));
 }
 
+/* Which object of a run of the scene's a place is on, by a search from the front, for once; how many there are where none is: two
+   levels down. */
+static uint32_t object_drawn(const zbufrand_scene *scene, const zbufrandi_list_node *n, const zbufrandi_list_spot *at) {
+    const zbufrandi_lists *l = scene->structure[0].lists, *to;
+    const uint32_t objects = n->last - n->first;
+    uint32_t o, t;
+    if (at->structure == 0) {
+        for (o = 0; o < objects && l->object[n->first + o] != at->item; o++) { }
+        CHECK(o < objects);
+        return o;
+    }
+    for (o = 0; o < objects; o++) { /* below a dummy: by its matrix */
+        const uint32_t item = l->object[n->first + o];
+        const zbufrandi_dummy *q;
+        if (!(item & ZBUFRANDI_LIST_DUMMY)) continue;
+        q = &l->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
+        if (scene->structure[0].instance[q->instance].structure != at->structure ||
+            memcmp(scene->structure[0].instance[q->instance].to_parent, at->m, sizeof at->m) != 0) continue;
+        to = scene->structure[at->structure].lists; /* the class: does it have this triangle? */
+        for (t = to->list_class[q->list_class].first; t < to->list_class[q->list_class].last; t++) {
+            if (to->object[t] == at->item) break;
+        }
+        if (t < to->list_class[q->list_class].last) break;
+    }
+    return o;
+}
+
 /* Draws from runs of all levels: each object as often as its area asks, each place on a triangle as likely. */
 TEST(draws_by_area) {
     uint32_t k, way, node, i;
@@ -455,31 +482,9 @@ TEST(draws_by_area) {
                     zbufrandi_list_spot at;
                     uint32_t o;
                     zbufrandi_list_find(scene, &local, &w, i, &at);
-                    if (at.structure == 0) { /* which object of the run it is: a search from the front, for once */
-                        for (o = 0; o < objects && l->object[n->first + o] != at.item; o++) { }
-                        CHECK(o < objects);
-                        if (o < objects) seen[o]++;
-                    } else { /* below a dummy: by its matrix */
-                        for (o = 0; o < objects; o++) {
-                            const uint32_t item = l->object[n->first + o];
-                            const zbufrandi_dummy *q;
-                            if (!(item & ZBUFRANDI_LIST_DUMMY)) continue;
-                            q = &l->dummy[item & ~ZBUFRANDI_LIST_DUMMY];
-                            if (scene->structure[0].instance[q->instance].structure != at.structure ||
-                                memcmp(scene->structure[0].instance[q->instance].to_parent, at.m, sizeof at.m) != 0) continue;
-                            { /* the class: does it have this triangle? */
-                                const zbufrandi_lists *to = scene->structure[at.structure].lists;
-                                uint32_t t;
-                                for (t = to->list_class[q->list_class].first; t < to->list_class[q->list_class].last; t++) {
-                                    if (to->object[t] == at.item) break;
-                                }
-                                if (t == to->list_class[q->list_class].last) continue;
-                            }
-                            seen[o]++;
-                            break;
-                        }
-                        if (o == objects) pool_seen++; /* two levels down */
-                    }
+                    o = object_drawn(scene, n, &at);
+                    if (o < objects) seen[o]++;
+                    else pool_seen++; /* two levels down */
                     u += (double)at.u;
                     uu += (double)at.u * (double)at.u;
                     uv += (double)at.u * (double)at.v;

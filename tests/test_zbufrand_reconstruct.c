@@ -1914,48 +1914,33 @@ TEST(suspects_same_bits) { /* and by definition */
 
 /* ---- projecting -------------------------------------------------------------------------------------------------- */
 
-TEST(projection) {
-    test_rng r = test_rng_make(26);
-    zbufrand_view v;
-    zbufrand_points p;
-    float positions[3 * 50], normals[3 * 50];
-    uint8_t rgb[3 * 50];
-    zbufrand_sample s[50];
+static void turned_view(zbufrand_view *v) { /* from (1, 2, 3) */
+    double c = cos(0.7), t = sin(0.7), m[3][3], eye[3] = {1.0, 2.0, 3.0};
     int i, k;
-    memset(&v, 0, sizeof v);
-    memset(&p, 0, sizeof p);
-    { /* a turned camera at (1, 2, 3) */
-        double c = cos(0.7), t = sin(0.7), m[3][3], eye[3] = {1.0, 2.0, 3.0};
-        m[0][0] = c; m[0][1] = 0; m[0][2] = t;
-        m[1][0] = 0; m[1][1] = 1; m[1][2] = 0;
-        m[2][0] = -t; m[2][1] = 0; m[2][2] = c;
-        for (i = 0; i < 3; i++) {
-            for (k = 0; k < 3; k++) v.world_to_camera[i][k] = m[i][k];
-            v.world_to_camera[i][3] = -(m[i][0] * eye[0] + m[i][1] * eye[1] + m[i][2] * eye[2]);
-        }
+    memset(v, 0, sizeof *v);
+    m[0][0] = c; m[0][1] = 0; m[0][2] = t;
+    m[1][0] = 0; m[1][1] = 1; m[1][2] = 0;
+    m[2][0] = -t; m[2][1] = 0; m[2][2] = c;
+    for (i = 0; i < 3; i++) {
+        for (k = 0; k < 3; k++) v->world_to_camera[i][k] = m[i][k];
+        v->world_to_camera[i][3] = -(m[i][0] * eye[0] + m[i][1] * eye[1] + m[i][2] * eye[2]);
     }
-    v.focal = 200.0;
-    v.center_x = 200.0;
-    v.center_y = 150.0;
-    v.near_z = 0.1;
-    v.far_z = 30.0;
-    for (i = 0; i < 150; i++) {
-        positions[i] = test_rng_range(&r, -8.0f, 8.0f);
-        normals[i] = test_rng_range(&r, -1.0f, 1.0f);
-        rgb[i] = (uint8_t)test_rng_below(&r, 256);
-    }
-    positions[3] = (float)NAN;
-    p.positions = positions;
-    p.normals = normals;
-    p.rgb = rgb;
-    p.count = 50;
-    CHECK_EQ_U64(zbufrand_project(&v, &p, 0, 50, s), ZBUFRAND_OK);
+    v->focal = 200.0;
+    v->center_x = 200.0;
+    v->center_y = 150.0;
+    v->near_z = 0.1;
+    v->far_z = 30.0;
+}
+
+/* Samples of 50 points against the pinhole camera in double; point 1 is no number. */
+static void check_projected(const zbufrand_view *v, const zbufrand_points *p, const zbufrand_sample *s) {
+    int i, k;
     for (i = 0; i < 50; i++) {
         double q[3], n[3], d, iz0, iz1;
         for (k = 0; k < 3; k++) {
-            const double *m = v.world_to_camera[k];
-            q[k] = m[0] * (double)positions[3 * i] + m[1] * (double)positions[3 * i + 1] + m[2] * (double)positions[3 * i + 2] + m[3];
-            n[k] = m[0] * (double)normals[3 * i] + m[1] * (double)normals[3 * i + 1] + m[2] * (double)normals[3 * i + 2];
+            const double *m = v->world_to_camera[k];
+            q[k] = m[0] * (double)p->positions[3 * i] + m[1] * (double)p->positions[3 * i + 1] + m[2] * (double)p->positions[3 * i + 2] + m[3];
+            n[k] = m[0] * (double)p->normals[3 * i] + m[1] * (double)p->normals[3 * i + 1] + m[2] * (double)p->normals[3 * i + 2];
         }
         if (i == 1 || q[2] < 0.1 || q[2] > 30.0) {
             CHECK(s[i].z == 0.0f);
@@ -1972,38 +1957,66 @@ TEST(projection) {
         CHECK_NEAR(s[i].slope_x, iz1 - iz0, 1e-6 * (1.0 + fabs(iz1 - iz0)));
         iz1 = (n[0] * (q[0] / q[2]) + n[1] * (q[1] / q[2] - 1.0 / 200.0) + n[2]) / d;
         CHECK_NEAR(s[i].slope_y, iz1 - iz0, 1e-6 * (1.0 + fabs(iz1 - iz0)));
-        CHECK_NEAR(s[i].rgb[0], zbufrandi_srgb_to_linear(rgb[3 * i] / 255.0), 1e-6);
+        CHECK_NEAR(s[i].rgb[0], zbufrandi_srgb_to_linear(p->rgb[3 * i] / 255.0), 1e-6);
     }
-    { /* submitted in one go or by hand: the same picture */
-        zbufrand_canvas_desc d = reconstruct_defaults(400, 300, 2);
-        zbufrand_canvas *a = NULL, *b = NULL;
-        zbufrand_source source;
-        zbufrand_picture pic;
-        zbufrand_submit_stats st;
-        static uint32_t one[400 * 300], two[400 * 300];
-        static float color[400 * 300 * 4];
-        memset(&pic, 0, sizeof pic);
-        memset(&source, 0, sizeof source);
-        memset(&st, 0, sizeof st);
-        CHECK_EQ_U64(zbufrand_canvas_create(&d, &a), ZBUFRAND_OK);
-        CHECK_EQ_U64(zbufrand_canvas_create(&d, &b), ZBUFRAND_OK);
-        CHECK_EQ_U64(zbufrand_canvas_submit_points(a, &v, &p, 0, &st), ZBUFRAND_OK);
-        CHECK_EQ_U64(zbufrand_canvas_submit(b, s, 50, 0, NULL), ZBUFRAND_OK);
-        CHECK_EQ_U64(st.accepted + st.outside + st.bad, 50);
-        CHECK(st.accepted > 3);
-        source.shade_fn = zbufrand_points_shade;
-        source.user = &p;
-        pic.number = one;
-        pic.rgba = color;
-        CHECK_EQ_U64(zbufrand_canvas_resolve(a, &source, &pic, NULL), ZBUFRAND_OK);
-        pic.number = two;
-        pic.rgba = NULL;
-        CHECK_EQ_U64(zbufrand_canvas_resolve(b, NULL, &pic, NULL), ZBUFRAND_OK);
-        CHECK_EQ_U64(memcmp(one, two, sizeof one), 0);
-        for (i = 0; i < 400 * 300; i++) if (one[i] != ~0u) CHECK(color[4 * i] == s[one[i]].rgb[0] && color[4 * i + 2] == s[one[i]].rgb[2]);
-        zbufrand_canvas_destroy(a);
-        zbufrand_canvas_destroy(b);
+}
+
+/* Submitted in one go or by hand: the same picture. */
+static void submitted_in_one_go(const zbufrand_view *v, zbufrand_points *p, const zbufrand_sample *s) {
+    zbufrand_canvas_desc d = reconstruct_defaults(400, 300, 2);
+    zbufrand_canvas *a = NULL, *b = NULL;
+    zbufrand_source source;
+    zbufrand_picture pic;
+    zbufrand_submit_stats st;
+    static uint32_t one[400 * 300], two[400 * 300];
+    static float color[400 * 300 * 4];
+    int i;
+    memset(&pic, 0, sizeof pic);
+    memset(&source, 0, sizeof source);
+    memset(&st, 0, sizeof st);
+    CHECK_EQ_U64(zbufrand_canvas_create(&d, &a), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_canvas_create(&d, &b), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_canvas_submit_points(a, v, p, 0, &st), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_canvas_submit(b, s, 50, 0, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(st.accepted + st.outside + st.bad, 50);
+    CHECK(st.accepted > 3);
+    source.shade_fn = zbufrand_points_shade;
+    source.user = p;
+    pic.number = one;
+    pic.rgba = color;
+    CHECK_EQ_U64(zbufrand_canvas_resolve(a, &source, &pic, NULL), ZBUFRAND_OK);
+    pic.number = two;
+    pic.rgba = NULL;
+    CHECK_EQ_U64(zbufrand_canvas_resolve(b, NULL, &pic, NULL), ZBUFRAND_OK);
+    CHECK_EQ_U64(memcmp(one, two, sizeof one), 0);
+    for (i = 0; i < 400 * 300; i++) if (one[i] != ~0u) CHECK(color[4 * i] == s[one[i]].rgb[0] && color[4 * i + 2] == s[one[i]].rgb[2]);
+    zbufrand_canvas_destroy(a);
+    zbufrand_canvas_destroy(b);
+}
+
+TEST(projection) {
+    test_rng r = test_rng_make(26);
+    zbufrand_view v;
+    zbufrand_points p;
+    float positions[3 * 50], normals[3 * 50];
+    uint8_t rgb[3 * 50];
+    zbufrand_sample s[50];
+    int i, k;
+    turned_view(&v);
+    memset(&p, 0, sizeof p);
+    for (i = 0; i < 150; i++) {
+        positions[i] = test_rng_range(&r, -8.0f, 8.0f);
+        normals[i] = test_rng_range(&r, -1.0f, 1.0f);
+        rgb[i] = (uint8_t)test_rng_below(&r, 256);
     }
+    positions[3] = (float)NAN;
+    p.positions = positions;
+    p.normals = normals;
+    p.rgb = rgb;
+    p.count = 50;
+    CHECK_EQ_U64(zbufrand_project(&v, &p, 0, 50, s), ZBUFRAND_OK);
+    check_projected(&v, &p, s);
+    submitted_in_one_go(&v, &p, s);
     for (i = 0; i < 50; i++) { /* so far to the side that floats do not hold it */
         positions[3 * i + i % 2] = i % 4 < 2 ? 1e20f : -1e20f;
         positions[3 * i + 2] = i % 3 == 0 ? 2e20f : 5;

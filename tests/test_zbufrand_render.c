@@ -671,6 +671,44 @@ static double poisson_tail(uint32_t n, double mean) {
     return 1 - sum;
 }
 
+/* A camera somewhere around a world, or before its walls. */
+static void look_from_anywhere(zbufrand_render_desc *d, uint32_t world, test_rng *r) {
+    const double angle = 6.2831853 * test_rng_double(r), from = test_rng_double(r), high = test_rng_double(r);
+    uint32_t i;
+    memset(d, 0, sizeof *d);
+    for (i = 0; i < 3; i++) d->camera.at[i] = world == 2 ? 0.5 : 0;
+    d->camera.eye[0] = d->camera.at[0] + (world == 0 ? 5 + 6 * from : world == 1 ? 4 + 3 * from : 1 + from) * cos(angle);
+    d->camera.eye[1] = d->camera.at[1] + (world == 0 ? 6 * high - 3 : world == 1 ? 0.8 + 2 * high : high - 0.5);
+    d->camera.eye[2] = d->camera.at[2] + (world == 0 ? 5 + 6 * from : world == 1 ? 4 + 3 * from : 1 + from) * sin(angle);
+    if (world == 3) {
+        d->camera.eye[0] = d->camera.at[0] = from;
+        d->camera.eye[1] = high;
+        d->camera.eye[2] = 4 + 0.1 * angle;
+    }
+}
+
+/* The depths that a pixel may not be behind: the most around it, or around blocks of 2 x 2, which reach beyond the picture. How many
+   pixels have one is returned. */
+static uint32_t deepest_around(const exact *e, uint32_t blocks, float *behind) {
+    const uint32_t reach = blocks ? 3 : 1;
+    uint32_t x, y, i, j, covered = 0;
+    for (y = 0; y < e->h; y++) {
+        for (x = 0; x < e->w; x++) {
+            const int inside = !blocks || (x >= reach && y >= reach && x + reach < e->w && y + reach < e->h);
+            const uint32_t x0 = x < reach ? 0 : x - reach, y0 = y < reach ? 0 : y - reach;
+            double most = inside ? 0 : (double)INFINITY;
+            for (j = y0 * e->k; inside && j < (y + reach + 1) * e->k && j < e->h * e->k; j++)
+                for (i = x0 * e->k; i < (x + reach + 1) * e->k && i < e->w * e->k; i++) {
+                    const double z = e->z[j * (e->w * e->k) + i];
+                    most = z > most ? z : most;
+                }
+            behind[y * e->w + x] = (float)(most * 1.01);
+            covered += most < (double)INFINITY;
+        }
+    }
+    return covered;
+}
+
 /* Pictures from random cameras, with random numbers of their own: the share of incomplete ones is at most what is
    reported, and that at most what was asked for. Walls, balls before balls, hills, leaves. */
 TEST(reported_share_is_incomplete) {
@@ -686,7 +724,7 @@ TEST(reported_share_is_incomplete) {
     test_rng r = test_rng_make(31);
     zbufrand_frame *frame = open_frame(1, ZBUFRAND_ISA_AUTO);
     double reported[2][WAYS] = {{0}}, promised = 0;
-    uint32_t bad[2][WAYS] = {{0}}, pictures[2][WAYS] = {{0}}, covered = 0, failed = 0, world, k, c, i, j, x, y, m;
+    uint32_t bad[2][WAYS] = {{0}}, pictures[2][WAYS] = {{0}}, covered = 0, failed = 0, world, k, c, i, m;
     static float behind[2][N];
     buffers b;
     exact e;
@@ -711,34 +749,11 @@ TEST(reported_share_is_incomplete) {
         for (c = 0; c < cameras; c++) {
             zbufrand_render_desc d;
             zbufrandi_camera camera;
-            const double angle = 6.2831853 * test_rng_double(&r), from = test_rng_double(&r), high = test_rng_double(&r);
-            memset(&d, 0, sizeof d);
-            for (i = 0; i < 3; i++) d.camera.at[i] = world == 2 ? 0.5 : 0;
-            d.camera.eye[0] = d.camera.at[0] + (world == 0 ? 5 + 6 * from : world == 1 ? 4 + 3 * from : 1 + from) * cos(angle);
-            d.camera.eye[1] = d.camera.at[1] + (world == 0 ? 6 * high - 3 : world == 1 ? 0.8 + 2 * high : high - 0.5);
-            d.camera.eye[2] = d.camera.at[2] + (world == 0 ? 5 + 6 * from : world == 1 ? 4 + 3 * from : 1 + from) * sin(angle);
-            if (wall) {
-                d.camera.eye[0] = d.camera.at[0] = from;
-                d.camera.eye[1] = high;
-                d.camera.eye[2] = 4 + 0.1 * angle;
-            }
+            look_from_anywhere(&d, world, &r);
             CHECK_EQ_U64(zbufrandi_camera_open(&d.camera, scene, W, H, 0, &camera), ZBUFRAND_OK);
             for (i = 0; i < N * K * K; i++) e.z[i] = (double)INFINITY;
             exact_mesh(&e, &camera, &mesh);
-            for (m = 0; m < 2; m++) { /* the limits: around pixels, around blocks of 2 x 2, which reach beyond the picture */
-                const uint32_t reach = m == 0 ? 1 : 3;
-                for (y = 0; y < H; y++) {
-                    for (x = 0; x < W; x++) {
-                        const int inside = m == 0 || (x >= reach && y >= reach && x + reach < W && y + reach < H);
-                        const uint32_t x0 = x < reach ? 0 : x - reach, y0 = y < reach ? 0 : y - reach;
-                        double most = inside ? 0 : (double)INFINITY;
-                        for (j = y0 * K; inside && j < (y + reach + 1) * K && j < H * K; j++)
-                            for (i = x0 * K; i < (x + reach + 1) * K && i < W * K; i++) most = e.z[j * (W * K) + i] > most ? e.z[j * (W * K) + i] : most;
-                        behind[m][y * W + x] = (float)(most * 1.01);
-                        covered += most < (double)INFINITY;
-                    }
-                }
-            }
+            for (m = 0; m < 2; m++) covered += deepest_around(&e, m, behind[m]);
             for (k = 0; k < WAYS; k++) {
                 d.oversample = way[k].parts;
                 d.hybrid = way[k].hybrid;
@@ -1451,13 +1466,56 @@ TEST(colours_are_unbiased) {
     }
 }
 
+/* A square across the picture at a depth, of n x n squares of one material and its colour. */
+static void pane_add(zbufrand_scene *scene, shape *s, uint8_t *rgb, uint32_t n, double z, uint32_t material) {
+    static const uint8_t shade[3][3] = {{255, 255, 255}, {0, 0, 0}, {255, 0, 0}};
+    zbufrand_mesh m;
+    uint32_t i;
+    memset(s, 0, sizeof *s);
+    for (i = 0; i < (n + 1) * (n + 1); i++) (void)shape_vertex(s, 5.4 * (i / (n + 1)) / n - 2.7, 5.4 * (i % (n + 1)) / n - 2.7, z);
+    for (i = 0; i < n * n; i++) {
+        const uint32_t a = i / n * (n + 1) + i % n, c = a + n + 1;
+        shape_triangle(s, a, c, c + 1);
+        shape_triangle(s, a, c + 1, a + 1);
+        memcpy(rgb + 6 * i, shade[material], 3);
+        memcpy(rgb + 6 * i + 3, shade[material], 3);
+    }
+    m = mesh_of(s);
+    m.triangle_rgb = rgb;
+    m.material = material;
+    CHECK_EQ_U64(zbufrand_add_mesh(scene, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+}
+
+static void pane_way(zbufrand_render_desc *d, uint32_t way) { /* by which pixels come about */
+    memset(d, 0, sizeof *d);
+    d->camera.eye[2] = 4;
+    d->unlit = 1;
+    d->no_lists = way != 5 && way != 6;
+    d->density = 7;
+    if (way == 0) d->hybrid = ZBUFRAND_HYBRID_ALL;
+    if (way == 1 || way >= 6) d->hybrid = ZBUFRAND_HYBRID_OFF;
+    if (way == 2 || way == 3) { /* so dear that stored points are drawn, or points of clusters */
+        d->hybrid = ZBUFRAND_HYBRID_OFF;
+        if (way == 2) d->costs.cluster = d->costs.sample = 1e6f;
+        else d->costs.set = 1e6f;
+    }
+    if (way == 9) { /* stored points of nodes, which have some of all panes */
+        d->density = 0.05;
+        d->hybrid = ZBUFRAND_HYBRID_OFF;
+        d->no_repair = 1;
+    }
+    if (way == 4) { /* rays have to find a quarter of it */
+        d->density = 1.4;
+        d->hybrid = ZBUFRAND_HYBRID_OFF;
+    }
+}
+
 /* A wall of glass before a wall, both over all of the picture. Whatever way a pixel comes about (rasterised, samples of clusters,
    stored ones, the thesis' trees, rays; scalar or not), it shows the same wall in the same frame, and glass as often as it is opaque:
    in the mean of frames, for all pixels together and for each of them (p below 1e-5). A second pane behind the first, of the same
    material, changes nothing; one of another material takes its share of what shines through. */
 TEST(panes) {
     enum { W = 33, H = 21, WAYS = 10 };
-    static const uint8_t shade[3][3] = {{255, 255, 255}, {0, 0, 0}, {255, 0, 0}};
     static const float opacity[3] = {0.3f, 1.0f, 0.6f};
     const uint32_t frames = test_quick() ? 40 : 150;
     uint32_t panes, fine, way, k, i, j, seen = 0;
@@ -1475,23 +1533,9 @@ TEST(panes) {
             CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
             for (j = 0; j <= panes; j++) { /* glass, perhaps again, perhaps red glass; the wall is the last */
                 const uint32_t material = j == panes ? 1 : panes == 3 && j == 1 ? 2 : 0, n = fine ? 110 : 1;
-                zbufrand_mesh m;
                 rgb[j] = (uint8_t *)malloc(6 * n * n);
                 REQUIRE(rgb[j] != NULL);
-                memset(&s[j], 0, sizeof s[j]);
-                for (i = 0; i < (n + 1) * (n + 1); i++)
-                    (void)shape_vertex(&s[j], 5.4 * (i / (n + 1)) / n - 2.7, 5.4 * (i % (n + 1)) / n - 2.7, -0.1 * j);
-                for (i = 0; i < n * n; i++) {
-                    const uint32_t a = i / n * (n + 1) + i % n, c = a + n + 1;
-                    shape_triangle(&s[j], a, c, c + 1);
-                    shape_triangle(&s[j], a, c + 1, a + 1);
-                    memcpy(rgb[j] + 6 * i, shade[material], 3);
-                    memcpy(rgb[j] + 6 * i + 3, shade[material], 3);
-                }
-                m = mesh_of(&s[j]);
-                m.triangle_rgb = rgb[j];
-                m.material = material;
-                CHECK_EQ_U64(zbufrand_add_mesh(scene, ZBUFRAND_ROOT, NULL, 0, &m, NULL), ZBUFRAND_OK);
+                pane_add(scene, &s[j], rgb[j], n, -0.1 * j, material);
                 if (j == panes) CHECK_EQ_U64(zbufrand_scene_build(scene, &bd, NULL), ZBUFRAND_OK);
             }
             for (k = 0; k < (fine ? 2 : frames); k++) {
@@ -1500,34 +1544,14 @@ TEST(panes) {
                     zbufrand_render_desc d;
                     zbufrand_image image;
                     zbufrand_stats st;
-                    memset(&d, 0, sizeof d);
+                    pane_way(&d, way);
                     memset(&image, 0, sizeof image);
                     image.width = W;
                     image.height = H;
                     image.rgba = rgba[way];
-                    d.camera.eye[2] = 4;
                     d.frame = k;
-                    d.unlit = 1;
                     d.opacity = opacity;
                     d.opacity_count = 3;
-                    d.no_lists = way != 5 && way != 6;
-                    d.density = 7;
-                    if (way == 0) d.hybrid = ZBUFRAND_HYBRID_ALL;
-                    if (way == 1 || way >= 6) d.hybrid = ZBUFRAND_HYBRID_OFF;
-                    if (way == 2 || way == 3) { /* so dear that stored points are drawn, or points of clusters */
-                        d.hybrid = ZBUFRAND_HYBRID_OFF;
-                        if (way == 2) d.costs.cluster = d.costs.sample = 1e6f;
-                        else d.costs.set = 1e6f;
-                    }
-                    if (way == 9) { /* stored points of nodes, which have some of all panes */
-                        d.density = 0.05;
-                        d.hybrid = ZBUFRAND_HYBRID_OFF;
-                        d.no_repair = 1;
-                    }
-                    if (way == 4) { /* rays have to find a quarter of it */
-                        d.density = 1.4;
-                        d.hybrid = ZBUFRAND_HYBRID_OFF;
-                    }
                     CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, &st), ZBUFRAND_OK);
                     if (way == 4) CHECK(st.repaired > 0);
                     if (way == 2 && fine) CHECK(st.draws[0] > 0 && st.draws[2] == 0);
@@ -2710,6 +2734,84 @@ TEST(stored_points_are_no_combs) {
     }
 }
 
+/* Triangles anywhere, in lists that are placed many times, some in each other. */
+static void golden_scene(zbufrand_scene **scene, shape *s) {
+    static uint8_t rgb[3 * 2500];
+    zbufrand_node lib, leaf, tree;
+    test_rng r = test_rng_make(5);
+    zbufrand_mesh m;
+    zbufrand_transform t;
+    uint32_t i, a;
+    memset(s, 0, sizeof *s);
+    for (i = 0; i < 2500; i++) {
+        double u[14]; /* one after the other: arguments have no order */
+        for (a = 0; a < 14; a++) u[a] = test_rng_double(&r);
+        u[0] = 0.002 + 0.3 * u[0] * u[1];
+        for (a = 0; a < 3; a++)
+            (void)shape_vertex(s, 2 * u[2] - 1 + u[0] * u[5 + 3 * a], 2 * u[3] - 1 + u[0] * u[6 + 3 * a], 2 * u[4] - 1 + u[0] * u[7 + 3 * a]);
+        shape_triangle(s, 3 * i, 3 * i + 1, 3 * i + 2);
+        for (a = 0; a < 3; a++) rgb[3 * i + a] = (uint8_t)test_rng_u32(&r);
+    }
+    m = mesh_of(s);
+    m.two_sided = 1;
+    m.triangle_rgb = rgb;
+    CHECK_EQ_U64(zbufrand_scene_create(NULL, scene), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(*scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_mesh(*scene, lib, NULL, 0, &m, &leaf), ZBUFRAND_OK);
+    CHECK_EQ_U64(zbufrand_add_list(*scene, lib, NULL, 0, &tree), ZBUFRAND_OK);
+    for (i = 0; i < 44; i++) { /* quarter turns, mirrors, powers of two */
+        const double scale = ldexp(1, i < 4 ? -1 : 1 - (int)(i % 3));
+        memset(&t, 0, sizeof t);
+        t.m[0][i % 3] = i & 1 ? scale : -scale;
+        t.m[1][(i + 1) % 3] = scale;
+        t.m[2][(i + 2) % 3] = i & 4 ? scale : -scale;
+        for (a = 0; a < 3; a++) t.m[a][3] = (i < 4 ? 2 : 12) * (double)(test_rng_float(&r) - 0.5f);
+        CHECK_EQ_U64(zbufrand_add_reference(*scene, i < 4 ? tree : 1, &t, i < 4 ? leaf : tree, NULL), ZBUFRAND_OK);
+    }
+    CHECK_EQ_U64(zbufrand_scene_build(*scene, NULL, NULL), ZBUFRAND_OK);
+}
+
+static void golden_way(zbufrand_render_desc *d, uint32_t way) { /* by which its picture is made */
+    static const float half[1] = {0.5f};
+    memset(d, 0, sizeof *d);
+    d->camera.eye[0] = 3;
+    d->camera.eye[1] = way == 2 ? 0.25 : 4;
+    d->camera.eye[2] = way == 2 ? 1 : 14;
+    if (way == 1) d->hybrid = ZBUFRAND_HYBRID_OFF;
+    if (way == 2) d->hybrid = ZBUFRAND_HYBRID_ALL;
+    if (way == 3) {
+        d->reconstruct.block = 2;
+        d->reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+        d->reconstruct.fill = ZBUFRAND_FILL_GAUSS;
+    }
+    if (way == 4) d->independent = 1;
+    if (way == 5) d->oversample = 2;
+    if (way == 6) {
+        d->reconstruct.block = 3;
+        d->reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+        d->reconstruct.fill = ZBUFRAND_FILL_REGIONS;
+    }
+    if (way == 7) {
+        d->reconstruct.block = 4;
+        d->reconstruct.occlusion = ZBUFRAND_OCCLUSION_CELLS;
+        d->reconstruct.fill = ZBUFRAND_FILL_VORONOI_L1;
+        d->hybrid = ZBUFRAND_HYBRID_CUBE;
+        d->hybrid_radius = 6;
+    }
+    if (way == 8) { /* the mean of three frames, of blocks that follow their planes */
+        d->reconstruct.block = 2;
+        d->reconstruct.plane_depth = 1;
+        d->noise = 1e-9;
+        d->max_frames = 3;
+    }
+    if (way == 9) {
+        d->opacity = half;
+        d->opacity_count = 1;
+        d->reconstruct.fill = ZBUFRAND_FILL_PULL_PUSH;
+        d->no_repair = 1;
+    }
+}
+
 /* Whole pictures have these bits on every machine, with every compiler, any number of threads: a soup, nested and mirrored, as
    samples, rastered, by rays, in blocks and filters. Only exact arithmetic makes the scene: no libm. */
 TEST(golden_pictures) {
@@ -2719,92 +2821,25 @@ TEST(golden_pictures) {
         UINT64_C(0x76937fa34d547cea), UINT64_C(0x7697dc4af336e0df), UINT64_C(0x5b1aba2e7f6700d8),
         UINT64_C(0xa8960008b0730004), UINT64_C(0x483893578b8d879b), UINT64_C(0x1952a3c0611c8b83)
     };
-    static const float half[1] = {0.5f};
     zbufrand_scene *scene = NULL;
-    zbufrand_node lib, leaf, tree;
-    test_rng r = test_rng_make(5);
-    zbufrand_mesh m;
-    zbufrand_transform t;
-    static uint8_t rgb[3 * 2500], bytes[4 * W * H];
+    static uint8_t bytes[4 * W * H];
     static float rgba[4 * W * H], depth[W * H];
     shape s;
-    uint32_t way, i, a;
-    memset(&s, 0, sizeof s);
-    for (i = 0; i < 2500; i++) {
-        double u[14]; /* one after the other: arguments have no order */
-        for (a = 0; a < 14; a++) u[a] = test_rng_double(&r);
-        u[0] = 0.002 + 0.3 * u[0] * u[1];
-        for (a = 0; a < 3; a++)
-            (void)shape_vertex(&s, 2 * u[2] - 1 + u[0] * u[5 + 3 * a], 2 * u[3] - 1 + u[0] * u[6 + 3 * a], 2 * u[4] - 1 + u[0] * u[7 + 3 * a]);
-        shape_triangle(&s, 3 * i, 3 * i + 1, 3 * i + 2);
-        for (a = 0; a < 3; a++) rgb[3 * i + a] = (uint8_t)test_rng_u32(&r);
-    }
-    m = mesh_of(&s);
-    m.two_sided = 1;
-    m.triangle_rgb = rgb;
-    CHECK_EQ_U64(zbufrand_scene_create(NULL, &scene), ZBUFRAND_OK);
-    CHECK_EQ_U64(zbufrand_add_list(scene, 1, NULL, ZBUFRAND_HIDDEN, &lib), ZBUFRAND_OK);
-    CHECK_EQ_U64(zbufrand_add_mesh(scene, lib, NULL, 0, &m, &leaf), ZBUFRAND_OK);
-    CHECK_EQ_U64(zbufrand_add_list(scene, lib, NULL, 0, &tree), ZBUFRAND_OK);
-    for (i = 0; i < 44; i++) { /* quarter turns, mirrors, powers of two */
-        const double scale = ldexp(1, i < 4 ? -1 : 1 - (int)(i % 3));
-        memset(&t, 0, sizeof t);
-        t.m[0][i % 3] = i & 1 ? scale : -scale;
-        t.m[1][(i + 1) % 3] = scale;
-        t.m[2][(i + 2) % 3] = i & 4 ? scale : -scale;
-        for (a = 0; a < 3; a++) t.m[a][3] = (i < 4 ? 2 : 12) * (double)(test_rng_float(&r) - 0.5f);
-        CHECK_EQ_U64(zbufrand_add_reference(scene, i < 4 ? tree : 1, &t, i < 4 ? leaf : tree, NULL), ZBUFRAND_OK);
-    }
-    CHECK_EQ_U64(zbufrand_scene_build(scene, NULL, NULL), ZBUFRAND_OK);
+    uint32_t way, i;
+    golden_scene(&scene, &s);
     for (way = 0; way < WAYS; way++) {
         zbufrand_frame *frame = open_frame(way == 1 ? 3 : 1, ZBUFRAND_ISA_AUTO);
         zbufrand_render_desc d;
         zbufrand_image image;
         zbufrand_stats st;
         uint64_t hash;
-        memset(&d, 0, sizeof d);
+        golden_way(&d, way);
         memset(&image, 0, sizeof image);
         image.width = W;
         image.height = H;
         image.rgba8 = bytes;
         image.rgba = rgba;
         image.depth = depth;
-        d.camera.eye[0] = 3;
-        d.camera.eye[1] = way == 2 ? 0.25 : 4;
-        d.camera.eye[2] = way == 2 ? 1 : 14;
-        if (way == 1) d.hybrid = ZBUFRAND_HYBRID_OFF;
-        if (way == 2) d.hybrid = ZBUFRAND_HYBRID_ALL;
-        if (way == 3) {
-            d.reconstruct.block = 2;
-            d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
-            d.reconstruct.fill = ZBUFRAND_FILL_GAUSS;
-        }
-        if (way == 4) d.independent = 1;
-        if (way == 5) d.oversample = 2;
-        if (way == 6) {
-            d.reconstruct.block = 3;
-            d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
-            d.reconstruct.fill = ZBUFRAND_FILL_REGIONS;
-        }
-        if (way == 7) {
-            d.reconstruct.block = 4;
-            d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_CELLS;
-            d.reconstruct.fill = ZBUFRAND_FILL_VORONOI_L1;
-            d.hybrid = ZBUFRAND_HYBRID_CUBE;
-            d.hybrid_radius = 6;
-        }
-        if (way == 8) { /* the mean of three frames, of blocks that follow their planes */
-            d.reconstruct.block = 2;
-            d.reconstruct.plane_depth = 1;
-            d.noise = 1e-9;
-            d.max_frames = 3;
-        }
-        if (way == 9) {
-            d.opacity = half;
-            d.opacity_count = 1;
-            d.reconstruct.fill = ZBUFRAND_FILL_PULL_PUSH;
-            d.no_repair = 1;
-        }
         CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &image, &st), ZBUFRAND_OK);
         CHECK(st.covered > 500);
         hash = test_fnv1a(bytes, sizeof bytes, 0);
@@ -2857,6 +2892,80 @@ static const char *const golden_name[GOLDEN_SCENES] = {
     "chessboard", "stripes", "height field", "sphere", "roof and walls", "city", "fractal tree", "dust", "decals and slats", "corridor"
 };
 
+static void golden_stripes(shape *s, uint8_t *rgb) { /* tilted ones before a wall */
+    uint32_t i, j;
+    double p[4][3];
+    for (i = 0; i < 96; i++) {
+        for (j = 0; j < 4; j++) {
+            const double x = -6 + 0.125 * i + (j == 1 || j == 2 ? 0.0625 : 0), y = j >= 2 ? 5 : -5;
+            p[j][0] = 0.8 * x - 0.6 * y;
+            p[j][1] = 0.6 * x + 0.8 * y;
+            p[j][2] = 0.25 * x;
+        }
+        golden_quad(s, rgb, p, 0x3060c0 + i);
+    }
+    for (j = 0; j < 4; j++) {
+        p[j][0] = j == 1 || j == 2 ? 9 : -9;
+        p[j][1] = j >= 2 ? 7 : -7;
+        p[j][2] = -1.5;
+    }
+    golden_quad(s, rgb, p, 0xd0c040);
+}
+
+static void golden_heights(shape *s, uint8_t *rgb, test_rng *r) { /* coarse ones, and finer ones between them */
+    uint32_t i, j, n;
+    double p[4][3], h[33][33];
+    for (i = 0; i < 33 * 33; i++) h[i / 33][i % 33] = 0;
+    for (n = 8; n > 0; n /= 2)
+        for (i = 0; i < 33; i += n)
+            for (j = 0; j < 33; j += n) h[i][j] += (test_rng_double(r) - 0.5) * (0.3 * n);
+    for (i = 0; i < 32 * 32; i++) {
+        for (j = 0; j < 4; j++) {
+            const uint32_t x = i % 32 + (j >= 2), z = i / 32 + (j == 1 || j == 2);
+            p[j][0] = 0.5 * x - 8;
+            p[j][1] = h[z][x];
+            p[j][2] = 0.5 * z - 8;
+        }
+        golden_quad(s, rgb, p, 0x306030 + 2 * (i & 31));
+    }
+}
+
+static void golden_ball(shape *s, uint8_t *rgb) { /* a cube of 6 x 16 x 16 fields, blown up */
+    uint32_t i, j, n;
+    double p[4][3];
+    for (i = 0; i < 6 * 256; i++) {
+        const uint32_t axis = i / 512, high = i / 256 & 1;
+        for (j = 0; j < 4; j++) {
+            double length = 0;
+            const double a = ((double)(i % 16) + (j == 1 || j == 2)) / 8 - 1, b = ((double)(i / 16 % 16) + (j >= 2)) / 8 - 1;
+            p[j][axis] = high != 0 ? 1 : -1;
+            p[j][(axis + (high != 0 ? 1 : 2)) % 3] = a;
+            p[j][(axis + (high != 0 ? 2 : 1)) % 3] = b;
+            for (n = 0; n < 3; n++) length += p[j][n] * p[j][n];
+            length = sqrt(length);
+            for (n = 0; n < 3; n++) p[j][n] = 5 * p[j][n] / length;
+        }
+        golden_quad(s, rgb, p, 0xc08040);
+    }
+}
+
+static void golden_houses(shape *s, uint8_t *rgb) { /* a roof just above its walls */
+    uint32_t i, j, n;
+    double p[4][3];
+    for (i = 0; i < 64; i++) {
+        const double x = (double)(i % 8) * 2 - 8, z = (double)(i / 8) * 2 - 8;
+        golden_box(s, rgb, x, 0, z, 1.25, 1, 0x607080);
+        for (n = 0; n < 2; n++) {
+            for (j = 0; j < 4; j++) {
+                p[j][0] = x + (n == 0 ? -0.125 : 1.375) + (j >= 2 ? (n == 0 ? 0.75 : -0.75) : 0);
+                p[j][1] = j >= 2 ? 1.75 : 0.96875;
+                p[j][2] = z + ((j == 1 || j == 2) == (n == 0) ? 1.375 : -0.125);
+            }
+            golden_quad(s, rgb, p, 0x3040c0);
+        }
+    }
+}
+
 /* What scene k is made of, of numbers that are the same everywhere: sums, products, square roots. */
 static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
     test_rng r = test_rng_make(k + 70);
@@ -2870,70 +2979,10 @@ static void golden_shape(uint32_t k, shape *s, uint8_t *rgb) {
             golden_side(s, rgb, lo, hi, 1, 1, ((i % 24 ^ i / 24) & 1) != 0 ? 0xe0e8f0 : 0x201810);
         }
         break;
-    case 1: /* tilted ones before a wall */
-        for (i = 0; i < 96; i++) {
-            for (j = 0; j < 4; j++) {
-                const double x = -6 + 0.125 * i + (j == 1 || j == 2 ? 0.0625 : 0), y = j >= 2 ? 5 : -5;
-                p[j][0] = 0.8 * x - 0.6 * y;
-                p[j][1] = 0.6 * x + 0.8 * y;
-                p[j][2] = 0.25 * x;
-            }
-            golden_quad(s, rgb, p, 0x3060c0 + i);
-        }
-        for (j = 0; j < 4; j++) {
-            p[j][0] = j == 1 || j == 2 ? 9 : -9;
-            p[j][1] = j >= 2 ? 7 : -7;
-            p[j][2] = -1.5;
-        }
-        golden_quad(s, rgb, p, 0xd0c040);
-        break;
-    case 2: { /* coarse heights, and finer ones between them */
-        double h[33][33];
-        for (i = 0; i < 33 * 33; i++) h[i / 33][i % 33] = 0;
-        for (n = 8; n > 0; n /= 2)
-            for (i = 0; i < 33; i += n)
-                for (j = 0; j < 33; j += n) h[i][j] += (test_rng_double(&r) - 0.5) * (0.3 * n);
-        for (i = 0; i < 32 * 32; i++) {
-            for (j = 0; j < 4; j++) {
-                const uint32_t x = i % 32 + (j >= 2), z = i / 32 + (j == 1 || j == 2);
-                p[j][0] = 0.5 * x - 8;
-                p[j][1] = h[z][x];
-                p[j][2] = 0.5 * z - 8;
-            }
-            golden_quad(s, rgb, p, 0x306030 + 2 * (i & 31));
-        }
-        break;
-    }
-    case 3: /* a cube of 6 x 16 x 16 fields, blown up */
-        for (i = 0; i < 6 * 256; i++) {
-            const uint32_t axis = i / 512, high = i / 256 & 1;
-            for (j = 0; j < 4; j++) {
-                double length = 0;
-                const double a = ((double)(i % 16) + (j == 1 || j == 2)) / 8 - 1, b = ((double)(i / 16 % 16) + (j >= 2)) / 8 - 1;
-                p[j][axis] = high != 0 ? 1 : -1;
-                p[j][(axis + (high != 0 ? 1 : 2)) % 3] = a;
-                p[j][(axis + (high != 0 ? 2 : 1)) % 3] = b;
-                for (n = 0; n < 3; n++) length += p[j][n] * p[j][n];
-                length = sqrt(length);
-                for (n = 0; n < 3; n++) p[j][n] = 5 * p[j][n] / length;
-            }
-            golden_quad(s, rgb, p, 0xc08040);
-        }
-        break;
-    case 4: /* houses: a roof just above its walls */
-        for (i = 0; i < 64; i++) {
-            const double x = (double)(i % 8) * 2 - 8, z = (double)(i / 8) * 2 - 8;
-            golden_box(s, rgb, x, 0, z, 1.25, 1, 0x607080);
-            for (n = 0; n < 2; n++) {
-                for (j = 0; j < 4; j++) {
-                    p[j][0] = x + (n == 0 ? -0.125 : 1.375) + (j >= 2 ? (n == 0 ? 0.75 : -0.75) : 0);
-                    p[j][1] = j >= 2 ? 1.75 : 0.96875;
-                    p[j][2] = z + ((j == 1 || j == 2) == (n == 0) ? 1.375 : -0.125);
-                }
-                golden_quad(s, rgb, p, 0x3040c0);
-            }
-        }
-        break;
+    case 1: golden_stripes(s, rgb); break;
+    case 2: golden_heights(s, rgb, &r); break;
+    case 3: golden_ball(s, rgb); break;
+    case 4: golden_houses(s, rgb); break;
     case 5: /* a block of towers, and streets between such blocks */
         for (i = 0; i < 16; i++)
             golden_box(s, rgb, (double)(i % 4), 0, (double)(i / 4), 0.75, 0.5 + 3 * test_rng_double(&r), 0x506070 + 0x050301 * i);

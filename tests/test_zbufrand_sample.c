@@ -216,6 +216,71 @@ static double area_in_picture(double (*p)[2], int n) {
     return fabs(area);
 }
 
+/* The mean of the projection factor over random points of the first triangle of p, times its area, and that of the squares; the
+   area that it has in the picture is returned. */
+static double projection_mean(const zbufrand_view *view, const float *p0, uint32_t points, test_rng *r, double *sum, double *sum2) {
+    double q[3][3], pixel[3][2], e[2][3], n[3], length = 0;
+    uint32_t k, a;
+    *sum = *sum2 = 0;
+    for (k = 0; k < 3; k++) {
+        for (a = 0; a < 3; a++) {
+            const double *row = view->world_to_camera[a];
+            const float *p = p0 + 3 * k;
+            q[k][a] = row[0] * (double)p[0] + row[1] * (double)p[1] + row[2] * (double)p[2] + row[3];
+        }
+        pixel[k][0] = view->center_x + view->focal * q[k][0] / q[k][2];
+        pixel[k][1] = view->center_y - view->focal * q[k][1] / q[k][2];
+    }
+    for (a = 0; a < 3; a++) {
+        e[0][a] = q[1][a] - q[0][a];
+        e[1][a] = q[2][a] - q[0][a];
+    }
+    for (a = 0; a < 3; a++) {
+        n[a] = e[0][(a + 1) % 3] * e[1][(a + 2) % 3] - e[0][(a + 2) % 3] * e[1][(a + 1) % 3];
+        length += n[a] * n[a];
+    }
+    length = sqrt(length);
+    for (k = 0; k < points; k++) {
+        double u = test_rng_double(r), v = test_rng_double(r), p[3], away = 0, far = 0, prj, x, y;
+        if (u + v > 1) {
+            u = 1 - u;
+            v = 1 - v;
+        }
+        for (a = 0; a < 3; a++) {
+            p[a] = q[0][a] + u * e[0][a] + v * e[1][a];
+            far += p[a] * p[a];
+            away += p[a] * n[a] / length;
+        }
+        far = sqrt(far);
+        /* f^2 cos(beta) / (z^2 cos(alpha)) */
+        prj = view->focal * view->focal * (fabs(away) / far) / (p[2] * p[2] * (p[2] / far));
+        x = view->center_x + view->focal * p[0] / p[2];
+        y = view->center_y - view->focal * p[1] / p[2];
+        if (x < 0 || y < 0 || x >= SAMPLE_WIDTH || y >= SAMPLE_HEIGHT) continue;
+        prj *= 0.5 * length;
+        *sum += prj / points;
+        *sum2 += prj * prj / points;
+    }
+    return area_in_picture(pixel, 3);
+}
+
+/* 1 / cos(alpha) in the corners of the picture: 1.22 for a diagonal of 70 degrees, 1.296 for 79. */
+static void projection_in_corners(void) {
+    static const double diagonal[2] = {70, 79}, want[2] = {1.2208, 1.2960};
+    uint32_t k;
+    for (k = 0; k < 2; k++) {
+        zbufrand_camera camera;
+        zbufrand_view view;
+        const double half = tan(diagonal[k] * 0.5 * 0.0174532925199433),
+            high = half * SAMPLE_HEIGHT / sqrt(SAMPLE_WIDTH * SAMPLE_WIDTH + SAMPLE_HEIGHT * SAMPLE_HEIGHT);
+        memset(&camera, 0, sizeof camera);
+        camera.at[2] = -1;
+        camera.fov_y = 2 * atan(high) / 0.0174532925199433;
+        CHECK_EQ_U64(zbufrand_camera_view(&camera, NULL, SAMPLE_WIDTH, SAMPLE_HEIGHT, &view), ZBUFRAND_OK);
+        CHECK_NEAR(sqrt(1 + (0.25 * SAMPLE_WIDTH * SAMPLE_WIDTH + 0.25 * SAMPLE_HEIGHT * SAMPLE_HEIGHT) / (view.focal * view.focal)), want[k], 1e-4);
+    }
+}
+
 /* Triangles anywhere before the camera: the mean of the thesis' projection factor (Definition 6) over their surface, times their
    area, is the part of the picture that they cover, and so is the number of samples over the density. */
 TEST(areas_of_triangles) {
@@ -224,7 +289,7 @@ TEST(areas_of_triangles) {
     test_rng r = test_rng_make(92);
     zbufrand_frame *frame = NULL;
     double all = 0, seen = 0;
-    uint32_t t, k, a, visible = 0;
+    uint32_t t, k, visible = 0;
     CHECK_EQ_U64(zbufrand_frame_create(NULL, &frame), ZBUFRAND_OK);
     for (t = 0; t < triangles; t++) {
         shape s;
@@ -233,7 +298,7 @@ TEST(areas_of_triangles) {
         zbufrand_render_desc d;
         zbufrand_view view;
         counts c;
-        double q[3][3], pixel[3][2], e[2][3], n[3], length = 0, area, sum = 0, sum2 = 0;
+        double area, sum, sum2;
         memset(&s, 0, sizeof s);
         memset(&d, 0, sizeof d);
         memset(&c, 0, sizeof c);
@@ -251,46 +316,7 @@ TEST(areas_of_triangles) {
         m.two_sided = 1;
         scene = sample_scene_of(&m, 0);
         CHECK_EQ_U64(zbufrand_camera_view(&d.camera, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, &view), ZBUFRAND_OK);
-        for (k = 0; k < 3; k++) {
-            for (a = 0; a < 3; a++) {
-                const double *row = view.world_to_camera[a];
-                const float *p = s.p + 3 * k;
-                q[k][a] = row[0] * (double)p[0] + row[1] * (double)p[1] + row[2] * (double)p[2] + row[3];
-            }
-            pixel[k][0] = view.center_x + view.focal * q[k][0] / q[k][2];
-            pixel[k][1] = view.center_y - view.focal * q[k][1] / q[k][2];
-        }
-        area = area_in_picture(pixel, 3);
-        for (a = 0; a < 3; a++) {
-            e[0][a] = q[1][a] - q[0][a];
-            e[1][a] = q[2][a] - q[0][a];
-        }
-        for (a = 0; a < 3; a++) {
-            n[a] = e[0][(a + 1) % 3] * e[1][(a + 2) % 3] - e[0][(a + 2) % 3] * e[1][(a + 1) % 3];
-            length += n[a] * n[a];
-        }
-        length = sqrt(length);
-        for (k = 0; k < points; k++) {
-            double u = test_rng_double(&r), v = test_rng_double(&r), p[3], away = 0, far = 0, prj, x, y;
-            if (u + v > 1) {
-                u = 1 - u;
-                v = 1 - v;
-            }
-            for (a = 0; a < 3; a++) {
-                p[a] = q[0][a] + u * e[0][a] + v * e[1][a];
-                far += p[a] * p[a];
-                away += p[a] * n[a] / length;
-            }
-            far = sqrt(far);
-            /* f^2 cos(beta) / (z^2 cos(alpha)) */
-            prj = view.focal * view.focal * (fabs(away) / far) / (p[2] * p[2] * (p[2] / far));
-            x = view.center_x + view.focal * p[0] / p[2];
-            y = view.center_y - view.focal * p[1] / p[2];
-            if (x < 0 || y < 0 || x >= SAMPLE_WIDTH || y >= SAMPLE_HEIGHT) continue;
-            prj *= 0.5 * length;
-            sum += prj / points;
-            sum2 += prj * prj / points;
-        }
+        area = projection_mean(&view, s.p, points, &r, &sum, &sum2);
         CHECK_MSG(fabs(sum - area) < 4.5 * sqrt(fmax(sum2 - sum * sum, 0) / points) + 1e-3, "triangle %u: %g square pixels, %g by the factor",
                   t, area, sum);
         CHECK_EQ_U64(zbufrand_sample_scene(frame, &d, scene, SAMPLE_WIDTH, SAMPLE_HEIGHT, count_sample, &c, NULL), ZBUFRAND_OK);
@@ -304,20 +330,7 @@ TEST(areas_of_triangles) {
     }
     CHECK_MSG(fabs(seen - all) < 4.5 * sqrt(all), "%g samples for %g", seen, all);
     CHECK(visible > triangles / 2);
-    { /* 1 / cos(alpha) in the corners of the picture: 1.22 for a diagonal of 70 degrees, 1.296 for 79 */
-        static const double diagonal[2] = {70, 79}, want[2] = {1.2208, 1.2960};
-        for (k = 0; k < 2; k++) {
-            zbufrand_camera camera;
-            zbufrand_view view;
-            const double half = tan(diagonal[k] * 0.5 * 0.0174532925199433),
-                high = half * SAMPLE_HEIGHT / sqrt(SAMPLE_WIDTH * SAMPLE_WIDTH + SAMPLE_HEIGHT * SAMPLE_HEIGHT);
-            memset(&camera, 0, sizeof camera);
-            camera.at[2] = -1;
-            camera.fov_y = 2 * atan(high) / 0.0174532925199433;
-            CHECK_EQ_U64(zbufrand_camera_view(&camera, NULL, SAMPLE_WIDTH, SAMPLE_HEIGHT, &view), ZBUFRAND_OK);
-            CHECK_NEAR(sqrt(1 + (0.25 * SAMPLE_WIDTH * SAMPLE_WIDTH + 0.25 * SAMPLE_HEIGHT * SAMPLE_HEIGHT) / (view.focal * view.focal)), want[k], 1e-4);
-        }
-    }
+    projection_in_corners();
     zbufrand_frame_destroy(frame);
 }
 
@@ -361,6 +374,37 @@ static void sample_transform(test_rng *r, double scale, int mirror, zbufrand_tra
     }
 }
 
+/* The torus that is placed, as triangles of its own. */
+static void put_torus(shape *all, const zbufrand_transform *t, int mirror) {
+    const uint32_t v = (uint32_t)all->vertices;
+    shape copy;
+    double q[9];
+    uint32_t a, b;
+    memset(&copy, 0, sizeof copy);
+    shape_torus(&copy, 0, 0, 0, 1, 0.4, 30, 15);
+    for (a = 0; a < 3; a++) for (b = 0; b < 3; b++) q[3 * a + b] = t->m[a][b];
+    shape_place(&copy, q, t->m[0][3], t->m[1][3], t->m[2][3]);
+    for (a = 0; a < copy.vertices; a++) (void)shape_vertex(all, (double)copy.p[3 * a], (double)copy.p[3 * a + 1], (double)copy.p[3 * a + 2]);
+    for (a = 0; a < copy.triangles; a++) { /* a mirror turns triangles inside out: put that right */
+        shape_triangle(all, v + copy.t[3 * a], v + copy.t[3 * a + (mirror ? 2 : 1)], v + copy.t[3 * a + (mirror ? 1 : 2)]);
+    }
+    shape_free(&copy);
+}
+
+/* Triangles of a shape, placed. */
+static void put_copy(shape *all, const shape *from, const zbufrand_transform *t, int mirror) {
+    const uint32_t v = (uint32_t)all->vertices;
+    uint32_t a, b;
+    for (a = 0; a < from->vertices; a++) {
+        double p[3], q[3];
+        for (b = 0; b < 3; b++) p[b] = (double)from->p[3 * a + b];
+        zbufrandi_m34_point(ZBUFRANDI_M34(t->m), p, q);
+        (void)shape_vertex(all, q[0], q[1], q[2]);
+    }
+    for (a = 0; a < from->triangles; a++)
+        shape_triangle(all, v + from->t[3 * a], v + from->t[3 * a + (mirror ? 2 : 1)], v + from->t[3 * a + (mirror ? 1 : 2)]);
+}
+
 TEST(instances_and_copies) {
     test_rng r = test_rng_make(31);
     uint32_t k, i, seed;
@@ -388,42 +432,18 @@ TEST(instances_and_copies) {
             zbufrand_transform t;
             sample_transform(&r, 0.3 + 0.2 * i, (int)i, &t);
             CHECK_EQ_U64(zbufrand_add_reference(scene[0], group, &t, mesh, NULL), ZBUFRAND_OK);
-            {
-                shape copy;
-                double q[9];
-                uint32_t a, b, v;
-                memset(&copy, 0, sizeof copy);
-                shape_torus(&copy, 0, 0, 0, 1, 0.4, 30, 15);
-                for (a = 0; a < 3; a++) for (b = 0; b < 3; b++) q[3 * a + b] = t.m[a][b];
-                shape_place(&copy, q, t.m[0][3], t.m[1][3], t.m[2][3]);
-                v = (uint32_t)all.vertices;
-                for (a = 0; a < copy.vertices; a++) (void)shape_vertex(&all, (double)copy.p[3 * a], (double)copy.p[3 * a + 1], (double)copy.p[3 * a + 2]);
-                for (a = 0; a < copy.triangles; a++) { /* a mirror turns triangles inside out: put that right */
-                    shape_triangle(&all, v + copy.t[3 * a], v + copy.t[3 * a + (i ? 2 : 1)], v + copy.t[3 * a + (i ? 1 : 2)]);
-                }
-                shape_free(&copy);
-            }
+            put_torus(&all, &t, (int)i);
         }
         {
             shape pair = all; /* the flattened group; then all its copies */
             memset(&all, 0, sizeof all);
             for (i = 0; i < count; i++) {
                 zbufrand_transform t;
-                uint32_t a, v = (uint32_t)all.vertices;
+                uint32_t a;
                 sample_transform(&r, (k == 0 ? 0.15 : 1.0) * pow(10, 0.6 * test_rng_double(&r) - 0.3), (int)(i % 3 == 0), &t);
                 if (k == 0) for (a = 0; a < 3; a++) t.m[a][3] *= 1.6;
                 CHECK_EQ_U64(zbufrand_add_reference(scene[0], 1, &t, group, NULL), ZBUFRAND_OK);
-                for (a = 0; a < pair.vertices; a++) {
-                    double p[3], q[3];
-                    uint32_t b;
-                    for (b = 0; b < 3; b++) p[b] = (double)pair.p[3 * a + b];
-                    zbufrandi_m34_point(ZBUFRANDI_M34(t.m), p, q);
-                    (void)shape_vertex(&all, q[0], q[1], q[2]);
-                }
-                for (a = 0; a < pair.triangles; a++) {
-                    int turn = i % 3 == 0;
-                    shape_triangle(&all, v + pair.t[3 * a], v + pair.t[3 * a + (turn ? 2 : 1)], v + pair.t[3 * a + (turn ? 1 : 2)]);
-                }
+                put_copy(&all, &pair, &t, i % 3 == 0);
             }
             shape_free(&pair);
         }
@@ -965,6 +985,87 @@ static double triangle_area(const shape *s, uint32_t t) {
     return 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
 }
 
+typedef struct surface_points { size_t n; float *p, *normal; uint8_t *rgb; uint32_t *id; } surface_points;
+
+static void on_their_triangles(const surface_points *g, const shape *s, const uint8_t *color) { /* and as these are */
+    size_t i;
+    uint32_t k, a;
+    for (i = 0; i < g->n; i += 7) {
+        uint32_t t = g->id[2 * i + 1];
+        const float *v[3];
+        double w[3], tn[3], l, off = 0, dot = 0;
+        REQUIRE(t < s->triangles);
+        for (k = 0; k < 3; k++) v[k] = s->p + 3 * s->t[3 * t + k];
+        zbufrandi_cross(v[0], v[1], v[2], tn);
+        l = sqrt(tn[0] * tn[0] + tn[1] * tn[1] + tn[2] * tn[2]);
+        for (a = 0; a < 3; a++) {
+            off += tn[a] / l * ((double)g->p[3 * i + a] - (double)v[0][a]);
+            dot += tn[a] / l * (double)g->normal[3 * i + a];
+            CHECK_EQ_U64(g->rgb[3 * i + a], color[3 * t + a]);
+        }
+        CHECK_MSG(fabs(off) < 3e-7, "point %u is %g off its plane", (unsigned)i, off);
+        CHECK(dot > 0.9999);
+        for (k = 0; k < 3; k++) { /* distance from the edges, to rounding */
+            const float *u = v[k], *o = v[(k + 1) % 3];
+            double e[3], x[3], le;
+            for (a = 0; a < 3; a++) {
+                e[a] = (double)o[a] - (double)u[a];
+                x[a] = (double)g->p[3 * i + a] - (double)u[a];
+            }
+            le = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
+            w[k] = (tn[0] * (e[1] * x[2] - e[2] * x[1]) + tn[1] * (e[2] * x[0] - e[0] * x[2]) + tn[2] * (e[0] * x[1] - e[1] * x[0])) / (l * le);
+            CHECK_MSG(w[k] > -4e-7, "point %u lies %g outside of its triangle", (unsigned)i, -w[k]);
+        }
+    }
+}
+
+/* Any prefix has as many points on each triangle as its area asks. */
+static void as_areas_ask(const surface_points *g, const shape *s, const double *area, double total, uint32_t mode) {
+    size_t prefix, i;
+    for (prefix = 3000; prefix <= g->n; prefix *= prefix < 20000 ? 8 : 4) {
+        double chi = 0, *seen = (double *)calloc(s->triangles, sizeof *seen);
+        uint32_t used = 0;
+        double small = 0, small_seen = 0;
+        REQUIRE(seen != NULL);
+        for (i = 0; i < prefix; i++) seen[g->id[2 * i + 1]] += 1;
+        for (i = 0; i < s->triangles; i++) {
+            double expected = (double)prefix * area[i] / total;
+            if (expected < 8) {
+                small += expected;
+                small_seen += seen[i];
+                continue;
+            }
+            chi += (seen[i] - expected) * (seen[i] - expected) / expected;
+            used++;
+        }
+        CHECK_MSG(used == 0 || chi < chi_limit(used), "mode %u, %zu points: chi-square %g of %u", mode, prefix, chi, used);
+        if (mode == 1 && used > 30) CHECK_MSG(chi > used - 4.3 * sqrt(2.0 * used), "independent ones are too even: %g of %u", chi, used);
+        CHECK_MSG(fabs(small - small_seen) < 4.5 * sqrt(small) + 1, "%g points on small triangles, %g expected", small_seen, small);
+        free(seen);
+    }
+}
+
+/* Pieces are the same as the whole; less asked for is the same, too; with another seed it is not. */
+static void pieces_of_the_whole(const surface_points *g, const zbufrand_scene *scene, zbufrand_surface_points_desc d) {
+    const size_t n = g->n;
+    size_t done = 0, step = 777;
+    float *q = (float *)malloc(12 * n);
+    REQUIRE(q != NULL);
+    while (done < n) {
+        size_t c = n - done < step ? n - done : step;
+        d.first = done;
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, c, q + 3 * done, NULL, NULL, NULL), ZBUFRAND_OK);
+        done += c;
+        step *= 5;
+    }
+    CHECK(memcmp(g->p, q, 12 * n) == 0);
+    d.first = 0;
+    d.seed = 1;
+    CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 100, q, NULL, NULL, NULL), ZBUFRAND_OK);
+    CHECK(memcmp(g->p, q, 1200) != 0);
+    free(q);
+}
+
 TEST(points_of_a_mesh) {
     test_rng r = test_rng_make(41);
     const size_t n = test_quick() ? 60000 : 1200000;
@@ -972,11 +1073,15 @@ TEST(points_of_a_mesh) {
     shape s;
     zbufrand_mesh m;
     zbufrand_scene *scene;
-    float *p = (float *)malloc(12 * n), *normal = (float *)malloc(12 * n), *q = (float *)malloc(12 * n);
-    uint8_t *rgb = (uint8_t *)malloc(3 * n), *color;
-    uint32_t *id = (uint32_t *)malloc(8 * n);
+    surface_points g;
+    uint8_t *color;
     double *area, total = 0;
-    REQUIRE(p != NULL && normal != NULL && q != NULL && rgb != NULL && id != NULL);
+    g.n = n;
+    g.p = (float *)malloc(12 * n);
+    g.normal = (float *)malloc(12 * n);
+    g.rgb = (uint8_t *)malloc(3 * n);
+    g.id = (uint32_t *)malloc(8 * n);
+    REQUIRE(g.p != NULL && g.normal != NULL && g.rgb != NULL && g.id != NULL);
     memset(&s, 0, sizeof s);
     for (i = 0; i < 4000; i++) { /* legs over six decades: areas over twelve */
         double c[3], e = 0.5 * pow(10, -6 * test_rng_double(&r));
@@ -999,79 +1104,17 @@ TEST(points_of_a_mesh) {
     scene = sample_scene_of(&m, 1);
     for (mode = 0; mode < 2; mode++) {
         zbufrand_surface_points_desc d;
-        size_t prefix;
         memset(&d, 0, sizeof d);
         d.independent = mode;
-        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, n, p, normal, rgb, id), ZBUFRAND_OK);
-        for (i = 0; i < n; i += 7) { /* on their triangles */
-            uint32_t t = id[2 * i + 1];
-            const float *v[3];
-            double w[3], tn[3], l, off = 0, dot = 0;
-            REQUIRE(t < s.triangles);
-            for (k = 0; k < 3; k++) v[k] = s.p + 3 * s.t[3 * t + k];
-            zbufrandi_cross(v[0], v[1], v[2], tn);
-            l = sqrt(tn[0] * tn[0] + tn[1] * tn[1] + tn[2] * tn[2]);
-            for (a = 0; a < 3; a++) {
-                off += tn[a] / l * ((double)p[3 * i + a] - (double)v[0][a]);
-                dot += tn[a] / l * (double)normal[3 * i + a];
-                CHECK_EQ_U64(rgb[3 * i + a], color[3 * t + a]);
-            }
-            CHECK_MSG(fabs(off) < 3e-7, "point %u is %g off its plane", i, off);
-            CHECK(dot > 0.9999);
-            for (k = 0; k < 3; k++) { /* distance from the edges, to rounding */
-                const float *u = v[k], *o = v[(k + 1) % 3];
-                double e[3], x[3], le;
-                for (a = 0; a < 3; a++) {
-                    e[a] = (double)o[a] - (double)u[a];
-                    x[a] = (double)p[3 * i + a] - (double)u[a];
-                }
-                le = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
-                w[k] = (tn[0] * (e[1] * x[2] - e[2] * x[1]) + tn[1] * (e[2] * x[0] - e[0] * x[2]) + tn[2] * (e[0] * x[1] - e[1] * x[0])) / (l * le);
-                CHECK_MSG(w[k] > -4e-7, "point %u lies %g outside of its triangle", i, -w[k]);
-            }
-        }
-        for (prefix = 3000; prefix <= n; prefix *= prefix < 20000 ? 8 : 4) { /* any prefix follows the areas */
-            double chi = 0, *seen = (double *)calloc(s.triangles, sizeof *seen);
-            uint32_t used = 0;
-            double small = 0, small_seen = 0;
-            REQUIRE(seen != NULL);
-            for (i = 0; i < prefix; i++) seen[id[2 * i + 1]] += 1;
-            for (i = 0; i < s.triangles; i++) {
-                double expected = (double)prefix * area[i] / total;
-                if (expected < 8) {
-                    small += expected;
-                    small_seen += seen[i];
-                    continue;
-                }
-                chi += (seen[i] - expected) * (seen[i] - expected) / expected;
-                used++;
-            }
-            CHECK_MSG(used == 0 || chi < chi_limit(used), "mode %u, %zu points: chi-square %g of %u", mode, prefix, chi, used);
-            if (mode == 1 && used > 30) CHECK_MSG(chi > used - 4.3 * sqrt(2.0 * used), "independent ones are too even: %g of %u", chi, used);
-            CHECK_MSG(fabs(small - small_seen) < 4.5 * sqrt(small) + 1, "%g points on small triangles, %g expected", small_seen, small);
-            free(seen);
-        }
-        { /* pieces are the same as the whole; less asked for is the same, too */
-            size_t done = 0, step = 777;
-            while (done < n) {
-                size_t c = n - done < step ? n - done : step;
-                d.first = done;
-                CHECK_EQ_U64(zbufrand_surface_points(scene, &d, c, q + 3 * done, NULL, NULL, NULL), ZBUFRAND_OK);
-                done += c;
-                step *= 5;
-            }
-            CHECK(memcmp(p, q, 12 * n) == 0);
-            d.first = 0;
-            d.seed = 1;
-            CHECK_EQ_U64(zbufrand_surface_points(scene, &d, 100, q, NULL, NULL, NULL), ZBUFRAND_OK);
-            CHECK(memcmp(p, q, 1200) != 0);
-        }
+        CHECK_EQ_U64(zbufrand_surface_points(scene, &d, n, g.p, g.normal, g.rgb, g.id), ZBUFRAND_OK);
+        on_their_triangles(&g, &s, color);
+        as_areas_ask(&g, &s, area, total, mode);
+        pieces_of_the_whole(&g, scene, d);
     }
-    free(p);
-    free(q);
-    free(normal);
-    free(rgb);
-    free(id);
+    free(g.p);
+    free(g.normal);
+    free(g.rgb);
+    free(g.id);
     free(color);
     free(area);
     zbufrand_scene_destroy(scene);
