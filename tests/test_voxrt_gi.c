@@ -2182,15 +2182,13 @@ TEST(deforming_meshes) { /* a ball whose surface swells in waves: each frame as 
     voxrt_gi_destroy(r.gi);
 }
 
-/* An object by points on its surface: they follow it as it moves, turns and bends, and are the same ones until it has
-   grown. Solid ones are dark inside and look the same from outside. */
+/* An object by points on its surface, and solid: dark inside, and the same from outside. */
 TEST(objects_by_samples_and_solid) {
     enum { N = 48 * 32, WAYS = 5 };
     static const voxrt_columns_mode mode[WAYS] = {VOXRT_COLUMNS_THIN, VOXRT_COLUMNS_SAMPLES, VOXRT_COLUMNS_SOLID, VOXRT_COLUMNS_FAT, VOXRT_COLUMNS_BODY};
     static room r;
-    static model bend;
     static float light[WAYS][N][3];
-    uint32_t way, frame, i, k;
+    uint32_t way, i, k;
     double mean = 0;
     room_open(&r, 48, 32, 0);
     for (way = 0; way < WAYS; way++) {
@@ -2255,49 +2253,53 @@ TEST(objects_by_samples_and_solid) {
         CHECK(stats.open_columns > 100);
     }
     voxrt_gi_destroy(r.gi);
+}
+
+/* Points on a surface follow it as it moves, turns and bends, and are the same ones until it has grown. */
+TEST(samples_follow_objects) {
+    static model bend;
+    static uint16_t first[40000][2];
+    voxrt_gi *gi = make_gi(64, 64, 64, 10), *thin = make_gi(64, 64, 64, 10);
+    voxrt_gi_object o;
+    uint32_t id[2], same = 0, frame;
     sphere(&bend, 3.0, 12, 180, 0);
-    {
-        voxrt_gi *gi = make_gi(64, 64, 64, 10), *thin = make_gi(64, 64, 64, 10);
-        voxrt_gi_object o = object_of(&bend, 0);
-        static uint16_t first[40000][2];
-        uint32_t id[2], same = 0;
-        CHECK(voxrt_gi_add(thin, &o, &id[1]) == VOXRT_OK);
+    o = object_of(&bend, 0);
+    CHECK(voxrt_gi_add(thin, &o, &id[1]) == VOXRT_OK);
+    o.mode = VOXRT_COLUMNS_SAMPLES;
+    CHECK(voxrt_gi_add(gi, &o, &id[0]) == VOXRT_OK);
+    for (frame = 0; frame < 24; frame++) {
+        const double turn = 0.1 * frame, more = frame < 12 ? 1.0 : frame < 18 ? 1.05 : 2.0;
+        uint32_t lost = 0, many = 0, x, y, z;
+        size_t rec;
+        o.to_world[0] = more * cos(turn);
+        o.to_world[1] = -sin(turn);
+        o.to_world[4] = more * sin(turn);
+        o.to_world[5] = cos(turn);
+        o.to_world[10] = 1;
+        o.to_world[3] = 0.11 * frame - 1;
+        CHECK(voxrt_gi_set(gi, id[0], &o) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
+        o.mode = VOXRT_COLUMNS_THIN;
+        CHECK(voxrt_gi_set(thin, id[1], &o) == VOXRT_OK && voxrt_gi_update(thin, NULL) == VOXRT_OK);
         o.mode = VOXRT_COLUMNS_SAMPLES;
-        CHECK(voxrt_gi_add(gi, &o, &id[0]) == VOXRT_OK);
-        for (frame = 0; frame < 24; frame++) {
-            const double turn = 0.1 * frame, more = frame < 12 ? 1.0 : frame < 18 ? 1.05 : 2.0;
-            uint32_t lost = 0, many = 0, x, y, z;
-            size_t rec;
-            o.to_world[0] = more * cos(turn);
-            o.to_world[1] = -sin(turn);
-            o.to_world[4] = more * sin(turn);
-            o.to_world[5] = cos(turn);
-            o.to_world[10] = 1;
-            o.to_world[3] = 0.11 * frame - 1;
-            CHECK(voxrt_gi_set(gi, id[0], &o) == VOXRT_OK && voxrt_gi_update(gi, NULL) == VOXRT_OK);
-            o.mode = VOXRT_COLUMNS_THIN;
-            CHECK(voxrt_gi_set(thin, id[1], &o) == VOXRT_OK && voxrt_gi_update(thin, NULL) == VOXRT_OK);
-            o.mode = VOXRT_COLUMNS_SAMPLES;
-            if (frame == 0) memcpy(first, gi->entry[id[0]].lattice, bend.triangles * sizeof first[0]);
-            same = memcmp(first, gi->entry[id[0]].lattice, bend.triangles * sizeof first[0]) == 0;
-            CHECK(same == (frame < 18));
-            for (z = 0; z < 64; z++)
-                for (y = 0; y < 64; y++)
-                    for (x = 0; x < 64; x++) {
-                        lost += voxrt_columns_get(thin->columns, 0, x, y, z) && !voxrt_columns_get(gi->columns, 0, x, y, z);
-                        many += (uint32_t)voxrt_columns_get(thin->columns, 0, x, y, z);
-                    }
-            CHECK_MSG(lost * 50 < many, "frame %u: %u of %u cells lost", frame, lost, many);
-            for (rec = 0; rec < gi->layer[1].count; rec++) { /* sides that are there, of this object, in its colour */
-                const voxrti_gi_record *q = &gi->layer[1].record[rec];
-                if (q->area[0] + q->area[1] == 0 || q->object[q->area[0] == 0] != id[0]) many = 0;
-                if (q->rgb[q->area[0] == 0][0] != (uint8_t)(sqrt(voxrti_srgb_to_linear(180.0 / 255.0)) * 255.0 + 0.5)) many = 0;
-            }
-            CHECK_MSG(many != 0, "frame %u: attributes", frame);
+        if (frame == 0) memcpy(first, gi->entry[id[0]].lattice, bend.triangles * sizeof first[0]);
+        same = memcmp(first, gi->entry[id[0]].lattice, bend.triangles * sizeof first[0]) == 0;
+        CHECK(same == (frame < 18));
+        for (z = 0; z < 64; z++)
+            for (y = 0; y < 64; y++)
+                for (x = 0; x < 64; x++) {
+                    lost += voxrt_columns_get(thin->columns, 0, x, y, z) && !voxrt_columns_get(gi->columns, 0, x, y, z);
+                    many += (uint32_t)voxrt_columns_get(thin->columns, 0, x, y, z);
+                }
+        CHECK_MSG(lost * 50 < many, "frame %u: %u of %u cells lost", frame, lost, many);
+        for (rec = 0; rec < gi->layer[1].count; rec++) { /* sides that are there, of this object, in its colour */
+            const voxrti_gi_record *q = &gi->layer[1].record[rec];
+            if (q->area[0] + q->area[1] == 0 || q->object[q->area[0] == 0] != id[0]) many = 0;
+            if (q->rgb[q->area[0] == 0][0] != (uint8_t)(sqrt(voxrti_srgb_to_linear(180.0 / 255.0)) * 255.0 + 0.5)) many = 0;
         }
-        voxrt_gi_destroy(gi);
-        voxrt_gi_destroy(thin);
+        CHECK_MSG(many != 0, "frame %u: attributes", frame);
     }
+    voxrt_gi_destroy(gi);
+    voxrt_gi_destroy(thin);
 }
 
 TEST(a_camera_that_pans) { /* with history there is less error than without, and nothing old where the picture shows what
@@ -3121,6 +3123,7 @@ int main(int argc, char **argv) {
     RUN(things_that_turn_do_not_pop);
     RUN(deforming_meshes);
     RUN(objects_by_samples_and_solid);
+    RUN(samples_follow_objects);
     RUN(a_camera_that_pans);
     RUN(volumes_that_follow_leave_no_seam);
     RUN(tones);

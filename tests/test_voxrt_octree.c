@@ -693,6 +693,28 @@ static voxrt_tree *through_file(const voxrt_tree *s, int how, void **file) {
     return t;
 }
 
+/* Levels of detail that were never made: a tree makes them by majority, as the octree would. */
+static void levels_by_majority(test_rng *r) {
+    voxrt_octree *t = make_octree(5, NULL), *back = NULL;
+    voxrt_tree *s = NULL;
+    voxrt_octree_desc d;
+    float nv[3] = {0, 0, 1};
+    uint32_t k;
+    memset(&d, 0, sizeof d);
+    for (k = 0; k < 700; k++) {
+        nv[k % 3] = test_rng_range(r, -1, 1);
+        CHECK(voxrt_octree_insert(t, test_rng_below(r, 32), test_rng_below(r, 32), test_rng_below(r, 32),
+                                  1 + test_rng_below(r, t->palette_count), nv) == VOXRT_OK);
+    }
+    REQUIRE(voxrt_tree_from_octree(NULL, t, &s) == VOXRT_OK);
+    REQUIRE(voxrt_octree_from_tree(&d, s, &back) == VOXRT_OK);
+    CHECK(voxrt_octree_build_lod(t) == VOXRT_OK && voxrt_octree_collapse(t) == VOXRT_OK);
+    CHECK(same_octree(t, back));
+    voxrt_tree_destroy(s);
+    voxrt_octree_destroy(t);
+    voxrt_octree_destroy(back);
+}
+
 /* Octree -> tree -> file of version 5 -> tree -> octree -> file of version 4 loses nothing: cells, indices, normals and
    levels of detail, all 65536 codes of normals among them. */
 TEST(lossless_there_and_back) {
@@ -775,25 +797,7 @@ TEST(lossless_there_and_back) {
         voxrt_tree_destroy(s);
         voxrt_octree_destroy(t);
     }
-    { /* levels of detail that were never made: by majority, as the octree would */
-        voxrt_octree *t = make_octree(5, NULL), *back = NULL;
-        voxrt_tree *s = NULL;
-        voxrt_octree_desc d;
-        float nv[3] = {0, 0, 1};
-        memset(&d, 0, sizeof d);
-        for (k = 0; k < 700; k++) {
-            nv[k % 3] = test_rng_range(&r, -1, 1);
-            CHECK(voxrt_octree_insert(t, test_rng_below(&r, 32), test_rng_below(&r, 32), test_rng_below(&r, 32),
-                                      1 + test_rng_below(&r, t->palette_count), nv) == VOXRT_OK);
-        }
-        REQUIRE(voxrt_tree_from_octree(NULL, t, &s) == VOXRT_OK);
-        REQUIRE(voxrt_octree_from_tree(&d, s, &back) == VOXRT_OK);
-        CHECK(voxrt_octree_build_lod(t) == VOXRT_OK && voxrt_octree_collapse(t) == VOXRT_OK);
-        CHECK(same_octree(t, back));
-        voxrt_tree_destroy(s);
-        voxrt_octree_destroy(t);
-        voxrt_octree_destroy(back);
-    }
+    levels_by_majority(&r);
 }
 
 TEST(conversions) {

@@ -1259,6 +1259,109 @@ static void store8(uint8_t *p, uint64_t v) {
     for (k = 0; k < 8; k++) p[k] = (uint8_t)(v >> (8 * k));
 }
 
+/* Masks of the page in the buffer: none is 0, and the first ones are as the depth of the tree wants them. */
+static void masks_are_checked(voxrt_paged *p, uint32_t id, const uint8_t *data) {
+    const uint32_t head = 8 + 8 * ((uint32_t)p->page[id].n1 + p->page[id].n2);
+    voxrti_chunk c;
+    uint32_t where, i;
+    int full;
+    for (i = 8; i < head; i += 8) {
+        const uint64_t was = voxrti_load_u64(p->buffer + i);
+        store8(p->buffer + i, 0);
+        CHECK(!voxrti_paged_check(p, id, &c, &where) && (where == i || where == 8));
+        store8(p->buffer + i, was);
+    }
+    if (id == 0 && p->odd) { /* the level above the root has it alone, as its first */
+        store8(p->buffer + 8, 2);
+        CHECK(!voxrti_paged_check(p, id, &c, &where));
+        store8(p->buffer + 8, 1);
+    }
+    if (id == 0 && (p->tree.depth & 1u) != 0) { /* the root of an odd depth is an octant */
+        const uint32_t at = 8 + 8 * p->odd, low = (uint32_t)voxrti_load_u64(p->buffer + at);
+        store8(p->buffer + at, (uint64_t)low << 8);
+        CHECK(!voxrti_paged_check(p, id, &c, &where));
+        store8(p->buffer + at, low);
+    }
+    if (id != 0) { /* its anchor has another number of children */
+        voxrti_page *up = &p->page[p->page[id].parent];
+        const uint8_t *mask = data + up->offset + 8 + 8 * ((size_t)up->n1 + (id - up->first_child));
+        const uint64_t was = voxrti_load_u64(mask);
+        const voxrti_chunk *above;
+        voxrt_result r;
+        if (up->place == 0) CHECK(voxrti_paged_load(p, p->page[id].parent, &full) == VOXRT_OK && !full);
+        above = voxrti_paged_chunk(p, p->page[id].parent);
+        REQUIRE(!above->leaf);
+        p->tree.node[above->first2 + (id - up->first_child)].mask = was & (was - 1);
+        r = voxrti_paged_load(p, id, &full);
+        CHECK(r == VOXRT_ERR_FORMAT && p->page[id].bad && p->page[id].place == 0);
+        p->tree.node[above->first2 + (id - up->first_child)].mask = was;
+        p->page[id].bad = 0;
+    }
+}
+
+/* The palette of the page in the buffer, a leaf's: 1 if it has an index that could be wrong. */
+static uint32_t palette_is_checked(voxrt_paged *p, const voxrti_chunk *leaf, uint32_t id) {
+    const uint32_t colors = leaf->colors, finish = leaf->palette + 4 * (colors - 1) + 3, index = leaf->index;
+    voxrti_chunk c;
+    uint32_t where, wrong = 0;
+    if (leaf->bits != 0 && leaf->bits <= 8 && (colors & (colors - 1)) != 0) { /* an index that is not in the palette */
+        const uint32_t most = (1u << leaf->bits) - 1, last = (p->buffer[index] & ~most) | colors;
+        const uint8_t was = p->buffer[index];
+        p->buffer[index] = (uint8_t)last;
+        CHECK(!voxrti_paged_check(p, id, &c, &where) && where == index);
+        p->buffer[index] = was;
+        wrong = 1;
+    }
+    p->buffer[finish] = 2; /* a finish that is not there */
+    CHECK(!voxrti_paged_check(p, id, &c, &where) && where == finish);
+    return wrong;
+}
+
+/* Finishes in the header and behind the table, and flags that go together. */
+static void finishes_are_checked(const file *f, const voxrt_paged_desc *d, const voxrt_error *error) {
+    const size_t at = f->size - 72;
+    const uint8_t root = f->data[192 + 63];
+    uint8_t was[4];
+    voxrt_paged *p = NULL;
+    f->data[192 + 63] = 2;
+    CHECK(voxrt_paged_open(d, &p) == VOXRT_ERR_FORMAT && p == NULL);
+    f->data[192 + 63] = 1;
+    memcpy(was, f->data + at, 4);
+    memset(f->data + at, 0xff, 4); /* not a number */
+    CHECK(voxrt_paged_open(d, &p) == VOXRT_ERR_FORMAT && p == NULL && error->where == at);
+    memcpy(f->data + at, was, 4);
+    f->data[32] ^= 64; /* finishes without their flag, */
+    CHECK(voxrt_paged_open(d, &p) == VOXRT_ERR_FORMAT);
+    f->data[32] ^= 64 ^ 4; /* without colours, */
+    CHECK(voxrt_paged_open(d, &p) == VOXRT_ERR_FORMAT);
+    f->data[32] ^= 4 ^ 2; /* spread without normals */
+    CHECK(voxrt_paged_open(d, &p) == VOXRT_ERR_FORMAT);
+    f->data[32] ^= 2;
+    REQUIRE(voxrt_paged_open(d, &p) == VOXRT_OK);
+    voxrt_paged_destroy(p);
+    f->data[192 + 63] = root;
+}
+
+/* Numbers that could be right: only the checksum of the table says that they are not. */
+static void table_is_summed(const file *f, voxrt_paged_desc *d, const voxrt_error *error) {
+    const size_t at = f->size - 72, table = (size_t)voxrti_load_u64(f->data + 64 + 2 * 40 + 8);
+    voxrt_paged *p = NULL;
+    uint32_t id;
+    for (id = 0; id < 2; id++) {
+        uint8_t *byte = f->data + (id == 0 ? at : table) + 16;
+        *byte ^= 1; /* shininess of the finish, checksum of a page */
+        d->trust_input = 0;
+        CHECK_MSG(voxrt_paged_open(d, &p) == VOXRT_ERR_CHECKSUM && p == NULL && error->where == table, "number %u", id);
+        d->trust_input = 1;
+        CHECK(voxrt_paged_open(d, &p) == VOXRT_OK);
+        voxrt_paged_destroy(p);
+        *byte ^= 1;
+    }
+    d->trust_input = 0;
+    CHECK(voxrt_paged_open(d, &p) == VOXRT_OK);
+    voxrt_paged_destroy(p);
+}
+
 TEST(pages_are_checked) {
     static const uint32_t resolution[4] = {40, 100, 7, 200}; /* levels: 3, 4, 2 wide, 4 */
     uint32_t k;
@@ -1298,96 +1401,18 @@ TEST(pages_are_checked) {
         REQUIRE(voxrt_paged_open(&d, &p) == VOXRT_OK);
         for (id = 0; id < p->page_count; id++) {
             voxrti_chunk c;
-            uint32_t where, i, head = 8 + 8 * ((uint32_t)p->page[id].n1 + p->page[id].n2);
-            int full;
+            uint32_t where;
             memcpy(p->buffer, f.data + p->page[id].offset, p->page[id].size);
             memset(p->buffer + p->page[id].size, 0, 8);
             CHECK(voxrti_paged_check(p, id, &c, &where));
-            if (k < 4) {
-                for (i = 8; i < head; i += 8) { /* no mask is 0 */
-                    const uint64_t was = voxrti_load_u64(p->buffer + i);
-                    store8(p->buffer + i, 0);
-                    CHECK(!voxrti_paged_check(p, id, &c, &where) && (where == i || where == 8));
-                    store8(p->buffer + i, was);
-                }
-                if (id == 0 && p->odd) { /* the level above the root has it alone, as its first */
-                    store8(p->buffer + 8, 2);
-                    CHECK(!voxrti_paged_check(p, id, &c, &where));
-                    store8(p->buffer + 8, 1);
-                }
-                if (id == 0 && (p->tree.depth & 1u) != 0) { /* the root of an odd depth is an octant */
-                    const uint32_t at = 8 + 8 * p->odd, low = (uint32_t)voxrti_load_u64(p->buffer + at);
-                    store8(p->buffer + at, (uint64_t)low << 8);
-                    CHECK(!voxrti_paged_check(p, id, &c, &where));
-                    store8(p->buffer + at, low);
-                }
-                if (id != 0) { /* its anchor has another number of children */
-                    voxrti_page *up = &p->page[p->page[id].parent];
-                    uint8_t *mask = f.data + up->offset + 8 + 8 * ((size_t)up->n1 + (id - up->first_child));
-                    const uint64_t was = voxrti_load_u64(mask);
-                    const voxrti_chunk *above;
-                    voxrt_result r;
-                    if (up->place == 0) CHECK(voxrti_paged_load(p, p->page[id].parent, &full) == VOXRT_OK && !full);
-                    above = voxrti_paged_chunk(p, p->page[id].parent);
-                    REQUIRE(!above->leaf);
-                    p->tree.node[above->first2 + (id - up->first_child)].mask = was & (was - 1);
-                    r = voxrti_paged_load(p, id, &full);
-                    CHECK(r == VOXRT_ERR_FORMAT && p->page[id].bad && p->page[id].place == 0);
-                    p->tree.node[above->first2 + (id - up->first_child)].mask = was;
-                    p->page[id].bad = 0;
-                }
-            } else {
-                const uint32_t colors = c.colors;
-                if (c.bits != 0 && (colors & (colors - 1)) != 0) { /* an index that is not in the palette */
-                    const uint32_t most = (1u << c.bits) - 1, last = (p->buffer[c.index] & ~most) | colors;
-                    if (c.bits <= 8) {
-                        const uint8_t was = p->buffer[c.index];
-                        p->buffer[c.index] = (uint8_t)last;
-                        CHECK(!voxrti_paged_check(p, id, &c, &where) && where == c.index);
-                        p->buffer[c.index] = was;
-                        wrong++;
-                    }
-                }
-                p->buffer[c.palette + 4 * (colors - 1) + 3] = 2; /* a finish that is not there */
-                CHECK(!voxrti_paged_check(p, id, &c, &where) && where == c.palette + 4 * (colors - 1) + 3);
-            }
+            if (k < 4) masks_are_checked(p, id, f.data);
+            else wrong += palette_is_checked(p, &c, id);
         }
         CHECK(k < 4 || wrong != 0 || p->page_count < 3);
         voxrt_paged_destroy(p);
-        if (k >= 4) { /* finishes in the header and behind the table */
-            const size_t at = f.size - 72, table = (size_t)voxrti_load_u64(f.data + 64 + 2 * 40 + 8);
-            const uint8_t root = f.data[192 + 63];
-            uint8_t was[4];
-            f.data[192 + 63] = 2;
-            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL);
-            f.data[192 + 63] = 1;
-            memcpy(was, f.data + at, 4);
-            memset(f.data + at, 0xff, 4); /* not a number */
-            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL && error.where == at);
-            memcpy(f.data + at, was, 4);
-            f.data[32] ^= 64; /* finishes without their flag, */
-            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
-            f.data[32] ^= 64 ^ 4; /* without colours, */
-            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
-            f.data[32] ^= 4 ^ 2; /* spread without normals */
-            CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT);
-            f.data[32] ^= 2;
-            REQUIRE(voxrt_paged_open(&d, &p) == VOXRT_OK);
-            voxrt_paged_destroy(p);
-            f.data[192 + 63] = root;
-            for (id = 0; id < 2; id++) { /* numbers that could be right: only the checksum of the table says that they are not */
-                uint8_t *byte = f.data + (id == 0 ? at : table) + 16;
-                *byte ^= 1; /* shininess of the finish, checksum of a page */
-                d.trust_input = 0;
-                CHECK_MSG(voxrt_paged_open(&d, &p) == VOXRT_ERR_CHECKSUM && p == NULL && error.where == table, "number %u", id);
-                d.trust_input = 1;
-                CHECK(voxrt_paged_open(&d, &p) == VOXRT_OK);
-                voxrt_paged_destroy(p);
-                *byte ^= 1;
-            }
-            d.trust_input = 0;
-            CHECK(voxrt_paged_open(&d, &p) == VOXRT_OK);
-            voxrt_paged_destroy(p);
+        if (k >= 4) {
+            finishes_are_checked(&f, &d, &error);
+            table_is_summed(&f, &d, &error);
         }
         voxrt_tree_destroy(t);
         free(f.data);
@@ -1541,45 +1566,32 @@ static int full_disk(void *user, uint64_t offset, const void *from, size_t bytes
     return (*left)-- <= 0;
 }
 
-TEST(files_and_arguments) {
-    fixture of = fixture_make(20, 150, 0);
-    hills *h = &of.h;
-    voxrt_tree *t = of.t, *back = NULL;
-    const file f = of.f;
-    const char *path = test_temp_path(".vox");
+/* What a file in memory says of itself, and its table: pages beyond its end, and pages in the header and in the table. */
+static void paged_in_memory(const fixture *of) {
+    const file f = of->f;
+    voxrt_tree *back = NULL;
     uint8_t small[100];
-    voxrt_build_desc b;
     voxrt_save_desc save;
     voxrt_load_desc load;
     voxrt_paged_desc d;
     voxrt_paged *p = NULL;
-    voxrt_sink sink;
-    voxrt_paged_info info;
-    voxrt_tree_info tree;
     voxrt_error error;
-    paging_picture *x = of.exact, *y = of.p;
-    voxrt_render_desc v;
-    FILE *out;
     size_t size;
-    int writes, k;
-    memset(&b, 0, sizeof b);
+    int k;
     memset(&save, 0, sizeof save);
     memset(&load, 0, sizeof load);
-    memset(&d, 0, sizeof d);
     memset(&error, 0, sizeof error);
-    b.resolution = 150;
-    b.palette_size = 1u << 24;
     save.encoding = VOXRT_ENCODING_PAGED;
     CHECK(voxrt_file_kind(f.data, 64) == 6 && voxrt_file_kind(f.data, 12) == 5);
     load.env.error = &error;
     CHECK(voxrt_tree_load_memory(&load, f.data, f.size, &back) == VOXRT_ERR_VERSION && back == NULL);
     CHECK(strstr(error.text, "voxrt_paged_open") != NULL); /* says what does read it */
-    CHECK(voxrt_tree_save_memory(t, &save, small, sizeof small, &size) == VOXRT_ERR_RANGE && size == f.size);
+    CHECK(voxrt_tree_save_memory(of->t, &save, small, sizeof small, &size) == VOXRT_ERR_RANGE && size == f.size);
     memset(&d, 0, sizeof d);
     d.data = f.data;
     d.size = f.size;
     d.trust_input = 1;
-    for (k = 0; k < 3; k++) { /* the table: pages beyond its end, and pages in the header and in the table */
+    for (k = 0; k < 3; k++) {
         const size_t at = (size_t)voxrti_load_u64(f.data + 64 + 2 * 40 + 8);
         uint8_t *e = f.data + at, was[24];
         uint64_t n2;
@@ -1593,8 +1605,50 @@ TEST(files_and_arguments) {
         CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_FORMAT && p == NULL);
         memcpy(e, was, sizeof was);
     }
+}
+
+/* Files that end too late, too early or much earlier than they say. */
+static void paged_sizes(const file *f, const char *path) {
+    voxrt_paged *p = NULL;
+    FILE *out;
+    int k, i;
+    out = fopen(path, "ab");
+    REQUIRE(out != NULL);
+    CHECK(fputc(0, out) == 0 && fclose(out) == 0);
+    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_FORMAT && p == NULL);
+    out = fopen(path, "wb");
+    REQUIRE(out != NULL);
+    CHECK(fwrite(f->data, 1, f->size - 1, out) == f->size - 1 && fclose(out) == 0);
+    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
+    for (k = 0; k < 3; k++) { /* sizes that no file has are not looked for */
+        static const uint64_t claim[3] = {(uint64_t)0 - 1, (uint64_t)1 << 63, (uint64_t)5 << 40};
+        uint8_t head[64];
+        memcpy(head, f->data, sizeof head);
+        for (i = 0; i < 8; i++) head[16 + i] = (uint8_t)(claim[k] >> (8 * i));
+        out = fopen(path, "r+b");
+        REQUIRE(out != NULL);
+        CHECK(fwrite(head, 1, sizeof head, out) == sizeof head && fclose(out) == 0);
+        CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
+    }
+}
+
+/* A file on disk shows what the tree does; what is no such file, or cannot be written. */
+static void paged_files(fixture *of, const voxrt_build_desc *b) {
+    const voxrt_mesh *mesh = &of->h.mesh;
+    voxrt_tree *t = of->t;
+    const char *path = test_temp_path(".vox");
+    voxrt_save_desc save;
+    voxrt_paged_desc d;
+    voxrt_paged *p = NULL;
+    voxrt_sink sink;
+    voxrt_paged_info info;
+    voxrt_tree_info tree;
+    voxrt_render_desc v;
+    int writes;
+    memset(&save, 0, sizeof save);
     memset(&d, 0, sizeof d);
-    CHECK(voxrt_paged_build_file(&b, &h->mesh, path, NULL) == VOXRT_OK);
+    save.encoding = VOXRT_ENCODING_PAGED;
+    CHECK(voxrt_paged_build_file(b, mesh, path, NULL) == VOXRT_OK);
     d.wait = 1;
     REQUIRE(voxrt_paged_open_file(&d, path, &p) == VOXRT_OK);
     voxrt_paged_get_info(p, &info);
@@ -1604,71 +1658,77 @@ TEST(files_and_arguments) {
     CHECK(memcmp(info.cell_min, tree.cell_min, 12) == 0 && memcmp(info.cell_max, tree.cell_max, 12) == 0);
     CHECK(info.has_colors && info.has_normals && !info.has_planes && info.page_count > 10 && info.loaded_pages == 1);
     view_of(t, 2, &v);
-    paging_draw(v, t, NULL, x);
-    paging_draw(v, NULL, p, y);
-    CHECK(picture_equal(x, y));
+    paging_draw(v, t, NULL, of->exact);
+    paging_draw(v, NULL, p, of->p);
+    CHECK(picture_equal(of->exact, of->p));
     voxrt_paged_destroy(p);
     CHECK(voxrt_tree_save_file(t, &save, path) == VOXRT_OK);
     CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_OK);
     voxrt_paged_destroy(p);
-    out = fopen(path, "ab");
-    REQUIRE(out != NULL);
-    CHECK(fputc(0, out) == 0 && fclose(out) == 0);
-    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_FORMAT && p == NULL);
-    out = fopen(path, "wb");
-    REQUIRE(out != NULL);
-    CHECK(fwrite(f.data, 1, f.size - 1, out) == f.size - 1 && fclose(out) == 0);
-    CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
-    for (k = 0; k < 3; k++) { /* sizes that no file has are not looked for */
-        static const uint64_t claim[3] = {(uint64_t)0 - 1, (uint64_t)1 << 63, (uint64_t)5 << 40};
-        uint8_t head[64];
-        memcpy(head, f.data, sizeof head);
-        for (writes = 0; writes < 8; writes++) head[16 + writes] = (uint8_t)(claim[k] >> (8 * writes));
-        out = fopen(path, "r+b");
-        REQUIRE(out != NULL);
-        CHECK(fwrite(head, 1, sizeof head, out) == sizeof head && fclose(out) == 0);
-        CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_TRUNCATED && p == NULL);
-    }
+    paged_sizes(&of->f, path);
     (void)remove(path);
     CHECK(voxrt_paged_open_file(NULL, path, &p) == VOXRT_ERR_IO && p == NULL);
     CHECK(voxrt_paged_open_file(NULL, ".", &p) == VOXRT_ERR_IO && p == NULL); /* a folder */
-    CHECK(voxrt_paged_build_file(&b, &h->mesh, "/nowhere/at/all.vox", NULL) == VOXRT_ERR_IO);
+    CHECK(voxrt_paged_build_file(b, mesh, "/nowhere/at/all.vox", NULL) == VOXRT_ERR_IO);
     CHECK(voxrt_tree_save_file(t, &save, "/nowhere/at/all.vox") == VOXRT_ERR_IO);
     for (writes = 0; writes < 12; writes++) {
         int left = writes;
         sink.write_fn = full_disk;
         sink.user = &left;
-        CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_IO);
+        CHECK(voxrt_paged_build(b, mesh, &sink, NULL) == VOXRT_ERR_IO);
     }
+}
+
+static void paged_arguments(fixture *of, voxrt_build_desc *b) {
+    hills *h = &of->h;
+    voxrt_paged_desc d;
+    voxrt_paged *p = NULL;
+    voxrt_sink sink;
+    voxrt_paged_info info;
+    voxrt_error error;
+    int writes = 100;
+    memset(&d, 0, sizeof d);
+    memset(&error, 0, sizeof error);
+    sink.write_fn = full_disk;
+    sink.user = &writes;
     d.env.error = &error;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_INVALID_ARG && error.text[0] != 0);
     CHECK(voxrt_paged_open(NULL, &p) == VOXRT_ERR_INVALID_ARG && voxrt_paged_open(&d, NULL) == VOXRT_ERR_INVALID_ARG);
     CHECK(voxrt_paged_update(NULL, 0, NULL) == VOXRT_ERR_INVALID_ARG);
     d._end_zero = 1;
     CHECK(voxrt_paged_open(&d, &p) == VOXRT_ERR_UNINIT_DESC);
-    CHECK(voxrt_paged_build(&b, &h->mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
+    CHECK(voxrt_paged_build(b, &h->mesh, NULL, NULL) == VOXRT_ERR_INVALID_ARG);
     { /* vertices that lie over each other; more triangles than have numbers */
         voxrt_mesh m = h->mesh;
         m.position_stride = 11;
-        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
+        CHECK(voxrt_paged_build(b, &m, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
         m.position_stride = 0;
         m.triangle_count = 0xffffffffu;
-        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
+        CHECK(voxrt_paged_build(b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
         m.indices = NULL;
         m.triangle_count = 0x55555555u;
-        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
+        CHECK(voxrt_paged_build(b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
         m.triangle_count = SIZE_MAX;
-        CHECK(voxrt_paged_build(&b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
+        CHECK(voxrt_paged_build(b, &m, &sink, NULL) == VOXRT_ERR_RANGE);
     }
-    b.fill = 1;
-    CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
-    b.fill = 0;
+    b->fill = 1;
+    CHECK(voxrt_paged_build(b, &h->mesh, &sink, NULL) == VOXRT_ERR_INVALID_ARG);
+    b->fill = 0;
     h->mesh.triangle_count = 0;
-    writes = 100;
-    sink.user = &writes;
-    CHECK(voxrt_paged_build(&b, &h->mesh, &sink, NULL) == VOXRT_ERR_EMPTY);
+    CHECK(voxrt_paged_build(b, &h->mesh, &sink, NULL) == VOXRT_ERR_EMPTY);
     voxrt_paged_destroy(NULL);
     voxrt_paged_get_info(NULL, &info);
+}
+
+TEST(files_and_arguments) {
+    fixture of = fixture_make(20, 150, 0);
+    voxrt_build_desc b;
+    memset(&b, 0, sizeof b);
+    b.resolution = 150;
+    b.palette_size = 1u << 24;
+    paged_in_memory(&of);
+    paged_files(&of, &b);
+    paged_arguments(&of, &b);
     fixture_free(&of);
 }
 

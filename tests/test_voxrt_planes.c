@@ -937,45 +937,18 @@ static float (*all_planes(const voxrt_tree *t))[4] {
     return v;
 }
 
-/* Models keep planes and spread: rays meet what they meet in the tree, which comes back; painting changes none, clearing
-   none of what is left, what was inside turns into the hole, boxes are cubes, and triangles have planes of their own. */
-TEST(edits_keep_planes) {
-    static const double lo[3] = {0.9, 0.9, 1.0}, hi[3] = {1.3, 1.2, 2.0}, box[3] = {0.02, 0.02, 0.02}, box_end[3] = {0.2, 0.2, 0.2};
+/* Lines and cones from all around meet in a model what they meet in the tree that it was made of. */
+static void rays_meet_the_same(const voxrt_tree *t, const voxrt_model *model) {
     static const float cone[3] = {0.0f, 0.3f, 2.5f}; /* lines, cells of 16 voxels, the root */
     enum { RAYS = 64 };
-    voxrt_build_desc d;
-    voxrt_edit_desc e;
-    voxrt_mesh m;
-    voxrt_model *first = NULL, *model = NULL;
-    voxrt_tree *t = NULL, *back = NULL;
     voxrt_geometry own, blocks;
     voxrt_trace_desc td;
     voxrt_ray ray[RAYS];
     voxrt_surface want[RAYS], got[RAYS];
-    float (*was)[4], (*now)[4];
-    size_t i, planes = 0, spread[3] = {0, 0, 0}, cubes = 0, turned = 0, ball = 0, gone = 0, rim = 0;
+    size_t i, planes = 0, spread[3] = {0, 0, 0};
     uint32_t a, k;
     test_rng r = test_rng_make(17);
-    shape s;
-    memset(&s, 0, sizeof s);
-    memset(&d, 0, sizeof d);
-    memset(&e, 0, sizeof e);
     memset(&td, 0, sizeof td);
-    shape_sphere(&s, 1, 1, 1, 0.9, 100);
-    m = mesh_of(&s);
-    d.resolution = 128;
-    d.box_size = 2;
-    d.planes = 1;
-    d.spread = 1;
-    d.fill = 1;
-    d.fill_depth = 3;
-    REQUIRE(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &first) == VOXRT_OK);
-    shape_free(&s);
-    REQUIRE(voxrt_model_copy(NULL, first, &model) == VOXRT_OK);
-    voxrt_model_destroy(first);
-    REQUIRE(voxrt_tree_from_model(&d, model, &back) == VOXRT_OK);
-    CHECK(voxrt_tree_hash(back) == voxrt_tree_hash(t));
-    voxrt_tree_destroy(back);
     voxrt_tree_geometry(t, &own);
     voxrt_model_geometry(model, &blocks);
     for (k = 0; k < 3; k++) {
@@ -1002,20 +975,12 @@ TEST(edits_keep_planes) {
     }
     if (test_g.verbose) printf("     %u planes, spread of %u, %u, %u\n", (unsigned)planes, (unsigned)spread[0], (unsigned)spread[1], (unsigned)spread[2]);
     CHECK(planes > RAYS / 2 && spread[0] == 0 && spread[1] > RAYS / 2 && spread[2] > RAYS / 2);
-    was = all_planes(t);
-    voxrt_tree_destroy(t);
-    e.op = VOXRT_EDIT_PAINT;
-    CHECK(voxrt_model_box(model, &e, box_end, hi, NULL) == VOXRT_OK);
-    e.op = VOXRT_EDIT_CLEAR;
-    CHECK(voxrt_model_box(model, &e, lo, hi, NULL) == VOXRT_OK);
-    e.op = VOXRT_EDIT_SET;
-    CHECK(voxrt_model_box(model, &e, box, box_end, NULL) == VOXRT_OK);
-    shape_sphere(&s, 1, 1, 0.6, 0.3, 60);
-    m = mesh_of(&s);
-    CHECK(voxrt_model_mesh(model, &e, &m, NULL) == VOXRT_OK);
-    shape_free(&s);
-    REQUIRE(voxrt_tree_from_model(NULL, model, &t) == VOXRT_OK && t->plane != NULL && t->spread == NULL);
-    now = all_planes(t);
+}
+
+/* Planes of 128 cells an edge before and after a box was painted, one cleared, one set and a ball put in. */
+static void planes_after_edits(const float (*was)[4], const float (*now)[4]) {
+    size_t i, cubes = 0, turned = 0, ball = 0, gone = 0, rim = 0;
+    uint32_t a;
     for (i = 0; i < 128 * 128 * 128; i++) {
         const double p[3] = {(double)(i % 128) + 0.5, (double)(i / 128 % 128) + 0.5, (double)(i / 16384) + 0.5};
         double away = 0, foot = 0;
@@ -1043,6 +1008,53 @@ TEST(edits_keep_planes) {
     CHECK(ball > 3000 && gone > 200 && turned > 100 && turned < 2000 && rim > 10 && cubes > 1000);
     if (test_g.verbose) printf("     %u of the ball, %u gone, %u turned, %u on a rim, %u new cubes\n", (unsigned)ball, (unsigned)gone, (unsigned)turned,
                                (unsigned)rim, (unsigned)cubes);
+}
+
+/* Models keep planes and spread: rays meet what they meet in the tree, which comes back; painting changes none, clearing
+   none of what is left, what was inside turns into the hole, boxes are cubes, and triangles have planes of their own. */
+TEST(edits_keep_planes) {
+    static const double lo[3] = {0.9, 0.9, 1.0}, hi[3] = {1.3, 1.2, 2.0}, box[3] = {0.02, 0.02, 0.02}, box_end[3] = {0.2, 0.2, 0.2};
+    voxrt_build_desc d;
+    voxrt_edit_desc e;
+    voxrt_mesh m;
+    voxrt_model *first = NULL, *model = NULL;
+    voxrt_tree *t = NULL, *back = NULL;
+    float (*was)[4], (*now)[4];
+    shape s;
+    memset(&s, 0, sizeof s);
+    memset(&d, 0, sizeof d);
+    memset(&e, 0, sizeof e);
+    shape_sphere(&s, 1, 1, 1, 0.9, 100);
+    m = mesh_of(&s);
+    d.resolution = 128;
+    d.box_size = 2;
+    d.planes = 1;
+    d.spread = 1;
+    d.fill = 1;
+    d.fill_depth = 3;
+    REQUIRE(voxrt_tree_build(&d, &m, NULL, &t) == VOXRT_OK && voxrt_model_from_tree(NULL, t, &first) == VOXRT_OK);
+    shape_free(&s);
+    REQUIRE(voxrt_model_copy(NULL, first, &model) == VOXRT_OK);
+    voxrt_model_destroy(first);
+    REQUIRE(voxrt_tree_from_model(&d, model, &back) == VOXRT_OK);
+    CHECK(voxrt_tree_hash(back) == voxrt_tree_hash(t));
+    voxrt_tree_destroy(back);
+    rays_meet_the_same(t, model);
+    was = all_planes(t);
+    voxrt_tree_destroy(t);
+    e.op = VOXRT_EDIT_PAINT;
+    CHECK(voxrt_model_box(model, &e, box_end, hi, NULL) == VOXRT_OK);
+    e.op = VOXRT_EDIT_CLEAR;
+    CHECK(voxrt_model_box(model, &e, lo, hi, NULL) == VOXRT_OK);
+    e.op = VOXRT_EDIT_SET;
+    CHECK(voxrt_model_box(model, &e, box, box_end, NULL) == VOXRT_OK);
+    shape_sphere(&s, 1, 1, 0.6, 0.3, 60);
+    m = mesh_of(&s);
+    CHECK(voxrt_model_mesh(model, &e, &m, NULL) == VOXRT_OK);
+    shape_free(&s);
+    REQUIRE(voxrt_tree_from_model(NULL, model, &t) == VOXRT_OK && t->plane != NULL && t->spread == NULL);
+    now = all_planes(t);
+    planes_after_edits((const float (*)[4])was, (const float (*)[4])now);
     free(was);
     free(now);
     voxrt_tree_destroy(t);

@@ -1307,8 +1307,6 @@ TEST(edges) {
     voxrt_tree *t = render_make_sphere(4, 0.9);
     voxrt_render_desc d;
     voxrt_light light;
-    voxrt_image empty;
-    voxrt_error error;
     render_picture p = make_picture(33, 100, 0, 0);
     uint32_t k, calls = 0;
     memset(&d, 0, sizeof d);
@@ -1327,6 +1325,42 @@ TEST(edges) {
         CHECK(voxrt_blur(NULL, &q.m) == VOXRT_OK);
         free_picture(&q);
     }
+    memset(&d, 0, sizeof d);
+    d.lights = &light;
+    d.light_count = 1;
+    set3(light.color, 1, 1, 1);
+    light.directional = 1; /* no direction: no light */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    d.lights = NULL;
+    d.light_count = 0;
+    d.env.progress_fn = cancel_fn;
+    d.env.progress_user = &calls;
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_ERR_CANCELLED);
+    CHECK_EQ_U64(calls, 2);
+    d.env.progress_fn = NULL;
+    d.camera = render_look(1, 1, 1, 5, 1, 1, 40); /* from inside, and away */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK(depth_at(&p, 16, 50) > 0.5f && depth_at(&p, 16, 50) < 1.0f);
+    d.camera = render_look(9, 1, 1, 50, 1, 1, 40);
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    CHECK(depth_at(&p, 16, 50) == INFINITY);
+    d.camera = render_look(1.9, 1, 1, 1, 1, 1, 40); /* eye within a voxel */
+    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
+    voxrt_tree_destroy(t);
+    free_picture(&p);
+}
+
+TEST(render_refusals) {
+    voxrt_tree *t = render_make_sphere(4, 0.9);
+    voxrt_render_desc d;
+    voxrt_light light;
+    voxrt_image empty;
+    voxrt_error error;
+    uint32_t k;
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    d.shadows = 1;
+    d.samples = 2;
     memset(&empty, 0, sizeof empty); /* no buffer at all */
     empty.width = 40;
     empty.height = 30;
@@ -1378,92 +1412,100 @@ TEST(edges) {
     }
     d.camera.eye[0] = NAN;
     CHECK(voxrt_render(&d, t, &empty, NULL) == VOXRT_ERR_INVALID_ARG && strstr(error.text, "camera") != NULL);
-    d.camera.eye[0] = 0;
-    { /* the most that is allowed: nothing overflows, also where it is blurred */
-        render_picture q = make_picture(40, 30, 0, 1);
-        voxrt_material m;
-        double before = 1e9;
-        uint32_t x, bad = 0;
-        set3(m.ambient, 1e12, -1e12, 1e12);
-        m.diffuse = m.specular = 1e12f;
-        m.shininess = 1e12f;
-        set3(light.color, 1e12, 1e12, -1e12);
-        set3(light.position, 1, 3, 2);
-        d.material = &m;
-        d.samples = 7;
-        set3(d.background, 1e12, -1e12, 1e12);
-        CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK && voxrt_blur(NULL, &q.m) == VOXRT_OK);
-        for (x = 0; x < 40 * 30 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1e38f);
-        CHECK_EQ_U64(bad, 0);
-        memset(&m, 0, sizeof m); /* highlights: the sharper the darker, and never above 1 */
-        set3(d.background, 0, 0, 0);
-        set3(light.color, 1, 1, 1);
-        m.specular = 1;
-        d.camera = render_look(4, 3, 4, 1, 1, 1, 40);
-        d.samples = 1;
-        for (k = 0; k < 5; k++) {
-            static const float sharp[5] = {1, 30, 300, 2000, 1e9f};
-            double sum = 0;
-            m.shininess = sharp[k];
-            CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK);
-            for (x = 0; x < 40 * 30 * 4; x += 4) {
-                bad += !(q.m.rgba[x] >= 0 && q.m.rgba[x] <= 1);
-                sum += (double)q.m.rgba[x];
-            }
-            CHECK(sum <= before && (k > 1 || sum > 0));
-            before = sum;
-        }
-        CHECK_EQ_U64(bad, 0);
-        free_picture(&q);
-        memset(&d.camera, 0, sizeof d.camera);
-        d.material = NULL;
-        d.samples = 0;
-        set3(d.background, 0, 0, 0);
-        set3(light.position, 0, 0, 0);
-    }
-    { /* a light so far from a surface so far away that no float holds the way: dark, but a number */
-        render_picture q = make_picture(20, 15, 0, 1);
-        voxrt_voxel v;
-        voxrt_build_desc b;
-        voxrt_tree *far_tree = NULL;
-        uint32_t x, bad = 0, hits = 0;
-        memset(&v, 0, sizeof v);
-        memset(&b, 0, sizeof b);
-        v.has_normal = 1;
-        v.normal[1] = 1;
-        v.rgb[0] = 255;
-        b.box_size = 1e38;
-        b.box_min[1] = -2e38;
-        CHECK(voxrt_tree_from_voxels(&b, &v, 1, 2, &far_tree) == VOXRT_OK);
-        set3(light.position, 0, 3.4e38, 0);
-        set3(light.color, 1, 1, 1);
-        CHECK(voxrt_render(&d, far_tree, &q.m, NULL) == VOXRT_OK);
-        for (x = 0; x < 20 * 15 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1.0f);
-        for (x = 3; x < 20 * 15 * 4; x += 4) hits += q.m.rgba[x] > 0;
-        CHECK(bad == 0 && hits > 20);
-        voxrt_tree_destroy(far_tree);
-        free_picture(&q);
-        set3(light.position, 0, 0, 0);
-    }
-    light.directional = 1; /* no direction: no light */
-    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
-    d.lights = NULL;
-    d.light_count = 0;
-    d.env.progress_fn = cancel_fn;
-    d.env.progress_user = &calls;
-    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_ERR_CANCELLED);
-    CHECK_EQ_U64(calls, 2);
-    d.env.progress_fn = NULL;
-    d.camera = render_look(1, 1, 1, 5, 1, 1, 40); /* from inside, and away */
-    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
-    CHECK(depth_at(&p, 16, 50) > 0.5f && depth_at(&p, 16, 50) < 1.0f);
-    d.camera = render_look(9, 1, 1, 50, 1, 1, 40);
-    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
-    CHECK(depth_at(&p, 16, 50) == INFINITY);
-    d.camera = render_look(1.9, 1, 1, 1, 1, 1, 40); /* eye within a voxel */
-    CHECK(voxrt_render(&d, t, &p.m, NULL) == VOXRT_OK);
     voxrt_tree_destroy(t);
-    free_picture(&p);
+}
+
+/* Highlights: the sharper the darker, and never above 1. */
+static void sharper_is_darker(const voxrt_tree *t, render_picture *q) {
+    static const float sharp[5] = {1, 30, 300, 2000, 1e9f};
+    voxrt_render_desc d;
+    voxrt_light light;
+    voxrt_material m;
+    double before = 1e9;
+    uint32_t k, x, bad = 0;
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    memset(&m, 0, sizeof m);
+    set3(light.color, 1, 1, 1);
+    set3(light.position, 1, 3, 2);
+    d.lights = &light;
+    d.light_count = 1;
+    d.material = &m;
+    m.specular = 1;
+    d.camera = render_look(4, 3, 4, 1, 1, 1, 40);
+    d.samples = 1;
+    for (k = 0; k < 5; k++) {
+        double sum = 0;
+        m.shininess = sharp[k];
+        CHECK(voxrt_render(&d, t, &q->m, NULL) == VOXRT_OK);
+        for (x = 0; x < 40 * 30 * 4; x += 4) {
+            bad += !(q->m.rgba[x] >= 0 && q->m.rgba[x] <= 1);
+            sum += (double)q->m.rgba[x];
+        }
+        CHECK(sum <= before && (k > 1 || sum > 0));
+        before = sum;
+    }
+    CHECK_EQ_U64(bad, 0);
+}
+
+/* A light so far from a surface so far away that no float holds the way: dark, but a number. */
+static void light_from_far(void) {
+    render_picture q = make_picture(20, 15, 0, 1);
+    voxrt_render_desc d;
+    voxrt_light light;
+    voxrt_voxel v;
+    voxrt_build_desc b;
+    voxrt_tree *far_tree = NULL;
+    uint32_t x, bad = 0, hits = 0;
+    memset(&v, 0, sizeof v);
+    memset(&b, 0, sizeof b);
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    d.lights = &light;
+    d.light_count = 1;
+    v.has_normal = 1;
+    v.normal[1] = 1;
+    v.rgb[0] = 255;
+    b.box_size = 1e38;
+    b.box_min[1] = -2e38;
+    CHECK(voxrt_tree_from_voxels(&b, &v, 1, 2, &far_tree) == VOXRT_OK);
+    set3(light.position, 0, 3.4e38, 0);
+    set3(light.color, 1, 1, 1);
+    CHECK(voxrt_render(&d, far_tree, &q.m, NULL) == VOXRT_OK);
+    for (x = 0; x < 20 * 15 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1.0f);
+    for (x = 3; x < 20 * 15 * 4; x += 4) hits += q.m.rgba[x] > 0;
+    CHECK(bad == 0 && hits > 20);
+    voxrt_tree_destroy(far_tree);
+    free_picture(&q);
+}
+
+/* The most that is allowed: nothing overflows, also where it is blurred. */
+TEST(largest_numbers) {
+    voxrt_tree *t = render_make_sphere(4, 0.9);
+    render_picture q = make_picture(40, 30, 0, 1);
+    voxrt_render_desc d;
+    voxrt_light light;
+    voxrt_material m;
+    uint32_t x, bad = 0;
+    memset(&d, 0, sizeof d);
+    memset(&light, 0, sizeof light);
+    d.lights = &light;
+    d.light_count = 1;
+    set3(m.ambient, 1e12, -1e12, 1e12);
+    m.diffuse = m.specular = 1e12f;
+    m.shininess = 1e12f;
+    set3(light.color, 1e12, 1e12, -1e12);
+    set3(light.position, 1, 3, 2);
+    d.material = &m;
+    d.samples = 7;
+    set3(d.background, 1e12, -1e12, 1e12);
+    CHECK(voxrt_render(&d, t, &q.m, NULL) == VOXRT_OK && voxrt_blur(NULL, &q.m) == VOXRT_OK);
+    for (x = 0; x < 40 * 30 * 4; x++) bad += !(fabsf(q.m.rgba[x]) <= 1e38f);
+    CHECK_EQ_U64(bad, 0);
+    sharper_is_darker(t, &q);
+    light_from_far();
+    free_picture(&q);
+    voxrt_tree_destroy(t);
 }
 
 TEST(allocations) { /* drawing takes none; blur fails cleanly */
@@ -1932,6 +1974,8 @@ int main(int argc, char **argv) {
     RUN(geometry);
     RUN(thesis_path);
     RUN(edges);
+    RUN(render_refusals);
+    RUN(largest_numbers);
     RUN(allocations);
     RUN(encode_and_blur);
     RUN(frame_budget);

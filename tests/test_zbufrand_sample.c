@@ -216,7 +216,7 @@ static double area_in_picture(double (*p)[2], int n) {
     return fabs(area);
 }
 
-/* The mean of the projection factor over random points of the first triangle of p, times its area, and that of the squares; the
+/* The mean of the projection factor over random points of the triangle at p0, times its area, and that of the squares; the
    area that it has in the picture is returned. */
 static double projection_mean(const zbufrand_view *view, const float *p0, uint32_t points, test_rng *r, double *sum, double *sum2) {
     double q[3][3], pixel[3][2], e[2][3], n[3], length = 0;
