@@ -915,46 +915,81 @@ static double paint_values(const float *values, size_t count, float least, float
     return covered;
 }
 
-static int slice(int argc, char **argv) {
+static size_t slice_options(options *o, sup_option *table) {
     static const char *const unused[] = {"seed", "tolerance", "isa", "quiet", "unlit"};
+    size_t n = sup_common_options(&o->common, table);
+    sup_option_help(table, n, "out", "picture to write: .png (a rainbow) or .pfm (the values, NaN where there is none)");
+    sup_option_help(table, n, "depth", "a plane has none");
+    sup_option_help(table, n, "size", "pixels of the picture (1024x768)");
+    for (size_t k = 0; k < sizeof unused / sizeof unused[0]; k++) sup_option_help(table, n, unused[k], "changes nothing here");
+    o->common.size[0] = 1024;
+    o->common.size[1] = 768;
+    o->normal[2] = 1.0f;
+    table[n++] = sup_opt_positional("IN", &o->in, 0, "volume mesh or grid, or .brk");
+    n += input_options(o, table + n);
+    table[n++] = sup_opt_vec3("normal", o->normal, "x,y,z: direction at right angles to the plane (0,0,1)");
+    table[n++] = sup_opt_given(sup_opt_vec3("through", o->through, "x,y,z: a point of it (the middle)"), &o->has_through);
+    table[n++] = sup_opt_text("section", &o->section, "FILE.obj", "of meshes: the polygons in which it cuts the cells; a value after each x y z");
+    table[n++] = sup_opt_flag("view", &o->view, "the plane as --eye, --at, --fov see it, in perspective");
+    table[n++] = sup_opt_int("level", &o->level, 0, 5, "N", "of bricks: no finer than this level");
+    return n;
+}
+
+/* What the plane goes through: bricks or a mesh. */
+typedef struct sliced {
+    int is_bricks;
+    tetcast_bricks *bricks;
+    tetcast_mesh *mesh;
+    double lo[3], hi[3];
+    float least, most;
+} sliced;
+
+static int sliced_load(sliced *s, const options *o, const tetcast_env *env, sup_error *err) {
+    tetcast_bricks_report report;
+    int status;
+    if (!s->is_bricks) status = load_mesh(o, o->in, env, &s->mesh, err);
+    else if (o->in && sup_name_ends(o->in, ".brk")) status = read_bricks(o->in, env, &s->bricks, err);
+    else status = make_bricks(o, env, &report, &s->bricks, err);
+    if (status > 0) return 1;
+    if (s->is_bricks) {
+        tetcast_bricks_info info;
+        tetcast_bricks_get_info(s->bricks, &info);
+        brick_box(&info, s->lo, s->hi);
+        s->least = info.value_min;
+        s->most = info.value_max;
+    } else {
+        tetcast_mesh_info info;
+        tetcast_mesh_get_info(s->mesh, &info);
+        memcpy(s->lo, info.box_min, sizeof s->lo);
+        memcpy(s->hi, info.box_max, sizeof s->hi);
+        (void)tetcast_mesh_field(s->mesh, 0, &s->least, &s->most);
+    }
+    return 0;
+}
+
+static int slice(int argc, char **argv) {
     sup_option table[SUP_COMMON_OPTIONS + 20];
     tetcast_error error = {TETCAST_OK, 0, ""};
     tetcast_env env;
-    tetcast_bricks *bricks = NULL;
-    tetcast_bricks_report report;
-    tetcast_mesh *mesh = NULL;
+    sliced s;
     tetcast_section section;
     tetcast_plane plane;
     tetcast_camera camera;
     tetcast_result r = TETCAST_OK;
     sup_error err;
     options o;
-    float *values = NULL, least = 0.0f, most = 0.0f;
+    float *values = NULL;
     uint8_t *pixels = NULL;
-    double lo[3], hi[3], through[3], side, start, seconds, covered = 0.0;
-    size_t n, pixel_count;
-    int status, is_bricks;
+    double through[3], side, start, seconds, covered = 0.0;
+    size_t pixel_count;
+    int status;
     set_defaults(&o);
     sup_error_clear(&err);
     memset(&env, 0, sizeof env);
     memset(&section, 0, sizeof section);
     memset(&camera, 0, sizeof camera);
-    n = sup_common_options(&o.common, table);
-    sup_option_help(table, n, "out", "picture to write: .png (a rainbow) or .pfm (the values, NaN where there is none)");
-    sup_option_help(table, n, "depth", "a plane has none");
-    sup_option_help(table, n, "size", "pixels of the picture (1024x768)");
-    for (size_t k = 0; k < sizeof unused / sizeof unused[0]; k++) sup_option_help(table, n, unused[k], "changes nothing here");
-    o.common.size[0] = 1024;
-    o.common.size[1] = 768;
-    o.normal[2] = 1.0f;
-    table[n++] = sup_opt_positional("IN", &o.in, 0, "volume mesh or grid, or .brk");
-    n += input_options(&o, table + n);
-    table[n++] = sup_opt_vec3("normal", o.normal, "x,y,z: direction at right angles to the plane (0,0,1)");
-    table[n++] = sup_opt_given(sup_opt_vec3("through", o.through, "x,y,z: a point of it (the middle)"), &o.has_through);
-    table[n++] = sup_opt_text("section", &o.section, "FILE.obj", "of meshes: the polygons in which it cuts the cells; a value after each x y z");
-    table[n++] = sup_opt_flag("view", &o.view, "the plane as --eye, --at, --fov see it, in perspective");
-    table[n++] = sup_opt_int("level", &o.level, 0, 5, "N", "of bricks: no finer than this level");
-    status = sup_cli_parse(argc, argv, "Values on a plane through cells or bricks.", table, n);
+    memset(&s, 0, sizeof s);
+    status = sup_cli_parse(argc, argv, "Values on a plane through cells or bricks.", table, slice_options(&o, table));
     if (status >= 0) return status;
     if (!o.in == !o.scene) return sup_bad_usage(argv[0], "IN or --scene has to be given");
     if (!(fabsf(o.normal[0]) + fabsf(o.normal[1]) + fabsf(o.normal[2]) > 0.0f)) return sup_bad_usage(argv[0], "--normal: no direction");
@@ -962,45 +997,29 @@ static int slice(int argc, char **argv) {
     if (!o.common.out && !o.section) return sup_bad_usage(argv[0], "--out or --section has to be given");
     if (o.common.out) status = sup_out_check(argv[0], &o.common);
     if (status >= 0) return status;
-    is_bricks = o.in ? sup_name_ends(o.in, ".brk") || sup_amr_is(o.in) : strcmp(o.scene, "blast") == 0;
-    if (is_bricks && o.section) return sup_bad_usage(argv[0], "--section: of meshes");
+    s.is_bricks = o.in ? sup_name_ends(o.in, ".brk") || sup_amr_is(o.in) : strcmp(o.scene, "blast") == 0;
+    if (s.is_bricks && o.section) return sup_bad_usage(argv[0], "--section: of meshes");
     env.thread_count = (uint32_t)o.common.threads;
     env.error = &error;
-    if (!is_bricks) status = load_mesh(&o, o.in, &env, &mesh, &err);
-    else if (o.in && sup_name_ends(o.in, ".brk")) status = read_bricks(o.in, &env, &bricks, &err);
-    else status = make_bricks(&o, &env, &report, &bricks, &err);
-    status = status > 0;
-    if (!status && is_bricks) {
-        tetcast_bricks_info info;
-        tetcast_bricks_get_info(bricks, &info);
-        brick_box(&info, lo, hi);
-        least = info.value_min;
-        most = info.value_max;
-    } else if (!status) {
-        tetcast_mesh_info info;
-        tetcast_mesh_get_info(mesh, &info);
-        memcpy(lo, info.box_min, sizeof lo);
-        memcpy(hi, info.box_max, sizeof hi);
-        (void)tetcast_mesh_field(mesh, 0, &least, &most);
-    }
+    status = sliced_load(&s, &o, &env, &err);
     pixel_count = (size_t)o.common.size[0] * o.common.size[1];
     values = (float *)sup_alloc(pixel_count, 4);
     pixels = (uint8_t *)sup_alloc(pixel_count, 4);
     if (!status && (!values || !pixels)) status = sup_fail(&err, "out of memory for the picture");
     start = sup_now();
     if (!status) {
-        side = 1.1 * sup_box_diagonal(lo, hi) / sqrt(2.0);
-        for (int k = 0; k < 3; k++) through[k] = o.has_through ? (double)o.through[k] : 0.5 * (lo[k] + hi[k]);
+        side = 1.1 * sup_box_diagonal(s.lo, s.hi) / sqrt(2.0);
+        for (int k = 0; k < 3; k++) through[k] = o.has_through ? (double)o.through[k] : 0.5 * (s.lo[k] + s.hi[k]);
         plane_of(o.normal, through, side, o.common.size[0], o.common.size[1], &plane);
-        if (o.view) (void)sup_volume_camera(&o.common, lo, hi, 0.0, &camera);
-        if (is_bricks) status = slice_bricks(&o, &env, bricks, &plane, o.view ? &camera : NULL, o.common.size[0], o.common.size[1], values, &err);
-        else if (o.view) r = tetcast_plane_view(&env, mesh, &plane, &camera, o.common.size[0], o.common.size[1], values, NULL);
-        else r = tetcast_plane_sample(&env, mesh, &plane, o.common.size[0], o.common.size[1], values);
-        if (r == TETCAST_OK && o.section) r = tetcast_plane_section(&env, mesh, &plane, &section);
+        if (o.view) (void)sup_volume_camera(&o.common, s.lo, s.hi, 0.0, &camera);
+        if (s.is_bricks) status = slice_bricks(&o, &env, s.bricks, &plane, o.view ? &camera : NULL, o.common.size[0], o.common.size[1], values, &err);
+        else if (o.view) r = tetcast_plane_view(&env, s.mesh, &plane, &camera, o.common.size[0], o.common.size[1], values, NULL);
+        else r = tetcast_plane_sample(&env, s.mesh, &plane, o.common.size[0], o.common.size[1], values);
+        if (r == TETCAST_OK && o.section) r = tetcast_plane_section(&env, s.mesh, &plane, &section);
         if (r != TETCAST_OK) status = sup_fail_result(&err, o.in ? o.in : o.scene, r, &error);
     }
     seconds = sup_now() - start;
-    if (!status) covered = paint_values(values, pixel_count, least, most, pixels);
+    if (!status) covered = paint_values(values, pixel_count, s.least, s.most, pixels);
     if (!status && o.section) status = write_section(o.section, &section, &err);
     if (!status && o.common.out && sup_out_is_linear(&o.common))
         status = sup_pfm_write(o.common.out, values, o.common.size[0], o.common.size[1], 1, &err);
@@ -1009,12 +1028,12 @@ static int slice(int argc, char **argv) {
         printf("{\"program\":\"tetcast_bricks\",\"command\":\"slice\",\"in\":");
         sup_json_string(stdout, o.in ? o.in : o.scene);
         printf(",\"width\":%u,\"height\":%u,\"covered\":%.0f,\"polygons\":%u,\"area\":%.9g,\"range\":[%.9g,%.9g],\"seconds\":%.6f}\n",
-               o.common.size[0], o.common.size[1], covered, section.polygon_count, section.area, (double)least, (double)most, seconds);
+               o.common.size[0], o.common.size[1], covered, section.polygon_count, section.area, (double)s.least, (double)s.most, seconds);
     }
     if (status) (void)sup_bad_input(argv[0], err.text);
     tetcast_section_free(&section);
-    tetcast_bricks_destroy(bricks);
-    tetcast_mesh_destroy(mesh);
+    tetcast_bricks_destroy(s.bricks);
+    tetcast_mesh_destroy(s.mesh);
     SUP_FREE(values);
     SUP_FREE(pixels);
     return status;

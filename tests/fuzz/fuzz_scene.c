@@ -129,98 +129,120 @@ static void cameras(const zbufrand_scene *scene, const zbufrand_camera *camera, 
     }
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
-    static picture p[2]; /* 6 KB */
+/* What nodes are made of; it stays while the scene does, which borrows it. */
+typedef struct world {
     float f[NUMBERS], position[NODES][18];
-    const uint8_t *o = data + 1, *at;
-    static const uint8_t rgb[18] = {255, 0, 0, 0, 255, 0, 0, 0, 255, 90, 90, 90, 255, 255, 0, 0, 255, 255};
-    zbufrand_node node[NODES + 1] = {ZBUFRAND_ROOT};
     zbufrand_transform many[MANY];
-    zbufrand_scene_desc sd;
-    zbufrand_build_desc b;
-    zbufrand_render_desc d;
-    zbufrand_light light;
-    zbufrand_scene *scene = NULL;
-    size_t i, k, n = size > OPTIONS + 1 ? data[0] % (NODES + 1u) : 0;
-    if (n == 0 || size < OPTIONS + 1 + 4 * n) return 0;
-    memset(f, 0, sizeof f); memset(&sd, 0, sizeof sd); memset(&b, 0, sizeof b); memset(&d, 0, sizeof d);
-    memset(&light, 0, sizeof light);
-    at = data + OPTIONS + 1 + 4 * n;
-    for (i = 0; i < NUMBERS; i++) { /* those that are missing repeat the others */
-        const size_t have = (size - (size_t)(at - data)) / 2, j = have != 0 ? i % have : 0;
+    zbufrand_node node[NODES + 1];
+} world;
+
+static void world_numbers(world *g, const uint8_t *at, size_t bytes) { /* those that are missing repeat the others */
+    const size_t have = bytes / 2;
+    size_t i;
+    for (i = 0; i < NUMBERS; i++) {
+        const size_t j = have != 0 ? i % have : 0;
         uint32_t u = have != 0 ? (uint32_t)at[2 * j] << 8 | at[2 * j + 1] : 513, w = u << 16;
-        memcpy(&f[i], &w, sizeof w);
-        if (u & 1) f[i] = ((float)(u >> 1) - 16384.0f) / 64.0f;
+        memcpy(&g->f[i], &w, sizeof w);
+        if (u & 1) g->f[i] = ((float)(u >> 1) - 16384.0f) / 64.0f;
     }
-    sd.env.thread_count = 1;
-    sd.env.memory_limit = 1u << 28;
-    if (zbufrand_scene_create(&sd, &scene) != ZBUFRAND_OK) abort();
+}
+
+/* Meshes, lists and references as bytes say, four each. */
+static void world_nodes(world *g, zbufrand_scene *scene, const uint8_t *data, size_t n) {
+    static const uint8_t rgb[18] = {255, 0, 0, 0, 255, 0, 0, 0, 255, 90, 90, 90, 255, 255, 0, 0, 255, 255};
+    size_t i, k;
     for (i = 0; i < n; i++) {
-        const uint8_t *q = data + OPTIONS + 1 + 4 * i;
-        const zbufrand_node parent = q[1] & 64 ? 0 : node[q[1] % (i + 1)], target = node[q[2] % (i + 1)];
-        const zbufrand_transform t = place(q[3], f + q[2] % (NUMBERS - 12));
-        node[i + 1] = ZBUFRAND_ROOT;
+        const uint8_t *q = data + 4 * i;
+        const zbufrand_node parent = q[1] & 64 ? 0 : g->node[q[1] % (i + 1)], target = g->node[q[2] % (i + 1)];
+        const zbufrand_transform t = place(q[3], g->f + q[2] % (NUMBERS - 12));
+        g->node[i + 1] = ZBUFRAND_ROOT;
         if (q[0] % 4 < 2) {
             zbufrand_mesh m;
             memset(&m, 0, sizeof m);
-            for (k = 0; k < 18; k++) position[i][k] = f[(q[2] + k * (1u + q[3] % 5u)) % NUMBERS] * (q[1] & 128 ? 1.0f / 64 : 1.0f);
-            m.positions = position[i];
+            for (k = 0; k < 18; k++) g->position[i][k] = g->f[(q[2] + k * (1u + q[3] % 5u)) % NUMBERS] * (q[1] & 128 ? 1.0f / 64 : 1.0f);
+            m.positions = g->position[i];
             m.vertex_count = 6;
             m.triangle_count = 2;
             m.two_sided = q[1] >> 5 & 1;
             m.material = q[3] >> 6;
             if (q[0] & 4) m.vertex_rgb = rgb;
             if (q[0] & 8) m.triangle_rgb = rgb;
-            if (q[0] & 16) m.normals = position[i];
-            (void)zbufrand_add_mesh(scene, parent, &t, q[0] >> 6, &m, &node[i + 1]);
+            if (q[0] & 16) m.normals = g->position[i];
+            (void)zbufrand_add_mesh(scene, parent, &t, q[0] >> 6, &m, &g->node[i + 1]);
         } else if (q[0] % 4 == 2) {
-            (void)zbufrand_add_list(scene, parent, &t, q[0] >> 6, &node[i + 1]);
+            (void)zbufrand_add_list(scene, parent, &t, q[0] >> 6, &g->node[i + 1]);
         } else if (q[0] & 4) {
             const size_t count = q[0] & 8 ? MANY : 4;
-            for (k = 0; k < count; k++) many[k] = place(q[3] + (uint32_t)k, f + (q[2] + 7 * k) % (NUMBERS - 12));
-            if (zbufrand_add_references(scene, parent, many, count, target, &node[i + 1]) == ZBUFRAND_OK) break; /* borrowed */
+            for (k = 0; k < count; k++) g->many[k] = place(q[3] + (uint32_t)k, g->f + (q[2] + 7 * k) % (NUMBERS - 12));
+            if (zbufrand_add_references(scene, parent, g->many, count, target, &g->node[i + 1]) == ZBUFRAND_OK) break; /* borrowed */
         } else {
-            (void)zbufrand_add_reference(scene, parent, &t, target, &node[i + 1]);
+            (void)zbufrand_add_reference(scene, parent, &t, target, &g->node[i + 1]);
         }
-        if (node[i + 1] == 0) node[i + 1] = ZBUFRAND_ROOT;
-        if (q[1] & 64) (void)zbufrand_list_append(scene, target, node[i + 1]);
+        if (g->node[i + 1] == 0) g->node[i + 1] = ZBUFRAND_ROOT;
+        if (q[1] & 64) (void)zbufrand_list_append(scene, target, g->node[i + 1]);
     }
-    b.seed = o[0]; b.ids = o[1] & 1; b.strict = o[1] >> 1 & 1; b.structure = (zbufrand_structure)(o[1] >> 2 & 7);
-    b.leaf_objects = o[2]; b.normal_depth = o[3] & 15; b.normal_grid = o[3] & 128 ? o[3] >> 4 & 7 : 0;
-    b.leaf_ratio = o[1] & 64 ? f[0] : 0; b.tolerance_zone = o[1] & 128 ? f[1] : 0;
-    d.camera.near_z = o[4] & 1 ? (double)f[2] : 0; d.camera.far_z = o[4] & 2 ? (double)f[3] : 0;
-    d.camera.fov_y = o[4] & 4 ? (double)f[4] : 0;
+}
+
+static void options_of(zbufrand_build_desc *b, zbufrand_render_desc *d, zbufrand_light *light, const uint8_t *o, const float *f) {
+    size_t k;
+    memset(b, 0, sizeof *b); memset(d, 0, sizeof *d); memset(light, 0, sizeof *light);
+    b->seed = o[0]; b->ids = o[1] & 1; b->strict = o[1] >> 1 & 1; b->structure = (zbufrand_structure)(o[1] >> 2 & 7);
+    b->leaf_objects = o[2]; b->normal_depth = o[3] & 15; b->normal_grid = o[3] & 128 ? o[3] >> 4 & 7 : 0;
+    b->leaf_ratio = o[1] & 64 ? f[0] : 0; b->tolerance_zone = o[1] & 128 ? f[1] : 0;
+    d->camera.near_z = o[4] & 1 ? (double)f[2] : 0; d->camera.far_z = o[4] & 2 ? (double)f[3] : 0;
+    d->camera.fov_y = o[4] & 4 ? (double)f[4] : 0;
     for (k = 0; k < 3; k++) {
-        d.camera.eye[k] = (double)f[5 + k]; d.camera.at[k] = o[4] & 8 ? (double)f[8 + k] : 0;
-        d.camera.up[k] = o[4] & 16 ? (double)f[11 + k] : 0;
-        light.position[k] = (double)f[14 + k]; light.color[k] = f[17 + k];
-        d.ambient[k] = o[4] & 32 ? f[20 + k] : 0;
+        d->camera.eye[k] = (double)f[5 + k]; d->camera.at[k] = o[4] & 8 ? (double)f[8 + k] : 0;
+        d->camera.up[k] = o[4] & 16 ? (double)f[11 + k] : 0;
+        light->position[k] = (double)f[14 + k]; light->color[k] = f[17 + k];
+        d->ambient[k] = o[4] & 32 ? f[20 + k] : 0;
     }
-    light.directional = o[4] >> 6 & 1;
-    if (o[4] & 128) { d.lights = &light; d.light_count = 1; }
-    d.tolerance = o[5] & 1 ? (double)f[24] : 0; d.density = o[5] & 2 ? zbufrandi_min((double)f[25], 20) : o[5] & 4 ? 3 : 0;
-    d.noise = o[5] & 8 ? (double)f[26] : 0; d.max_frames = 5; d.spread = o[5] & 16 ? 1u << (o[6] & 7) : 0;
-    d.frame = o[6]; d.seed = o[7]; d.independent = o[5] >> 5 & 1; d.round_up = o[5] >> 6 & 1; d.no_lists = o[5] >> 7;
-    d.hybrid = (zbufrand_hybrid)(o[8] & 7); d.hybrid_radius = o[8] & 8 ? (double)f[27] : 0;
-    d.no_occlusion = o[8] >> 4 & 1; d.no_repair = o[8] >> 5 & 1; d.no_plane_depth = o[8] >> 6 & 1; d.no_thinning = o[8] >> 7;
-    d.depth_ratio = o[9] & 1 ? (double)f[28] : 0; d.angle_ratio = o[9] & 2 ? (double)f[29] : 0; d.clip_ratio = o[9] & 4 ? (double)f[30] : 0;
-    d.unlit = o[9] >> 3 & 1;
-    if (o[9] & 16) { d.opacity = f + 31; d.opacity_count = 2 + (o[9] >> 5 & 1); }
-    if (o[9] & 64) memcpy(d.background, f + 35, sizeof d.background);
-    if (o[9] & 128) memcpy(&d.costs, f + 40, sizeof d.costs);
-    d.reconstruct.block = o[10] & 15; d.reconstruct.fill = (zbufrand_fill)(o[10] >> 4 & 7);
-    d.reconstruct.occlusion = (zbufrand_occlusion)(o[11] & 7); d.reconstruct.reach = o[11] >> 3 & 7;
-    d.reconstruct.plane_depth = o[11] >> 6 & 1; d.reconstruct.repair = o[11] >> 7;
-    d.reconstruct.gauss_radius = o[12] & 1 ? f[50] : 0; d.reconstruct.gauss_support = o[12] & 2 ? f[51] : 0;
-    if (o[12] & 64) memcpy(&d.reconstruct.tolerance, f + 52, 5 * sizeof(float));
-    d.reconstruct.drop_back = o[12] >> 7;
+    light->directional = o[4] >> 6 & 1;
+    if (o[4] & 128) { d->lights = light; d->light_count = 1; }
+    d->tolerance = o[5] & 1 ? (double)f[24] : 0; d->density = o[5] & 2 ? zbufrandi_min((double)f[25], 20) : o[5] & 4 ? 3 : 0;
+    d->noise = o[5] & 8 ? (double)f[26] : 0; d->max_frames = 5; d->spread = o[5] & 16 ? 1u << (o[6] & 7) : 0;
+    d->frame = o[6]; d->seed = o[7]; d->independent = o[5] >> 5 & 1; d->round_up = o[5] >> 6 & 1; d->no_lists = o[5] >> 7;
+    d->hybrid = (zbufrand_hybrid)(o[8] & 7); d->hybrid_radius = o[8] & 8 ? (double)f[27] : 0;
+    d->no_occlusion = o[8] >> 4 & 1; d->no_repair = o[8] >> 5 & 1; d->no_plane_depth = o[8] >> 6 & 1; d->no_thinning = o[8] >> 7;
+    d->depth_ratio = o[9] & 1 ? (double)f[28] : 0; d->angle_ratio = o[9] & 2 ? (double)f[29] : 0; d->clip_ratio = o[9] & 4 ? (double)f[30] : 0;
+    d->unlit = o[9] >> 3 & 1;
+    if (o[9] & 16) { d->opacity = f + 31; d->opacity_count = 2 + (o[9] >> 5 & 1); }
+    if (o[9] & 64) memcpy(d->background, f + 35, sizeof d->background);
+    if (o[9] & 128) memcpy(&d->costs, f + 40, sizeof d->costs);
+    d->reconstruct.block = o[10] & 15; d->reconstruct.fill = (zbufrand_fill)(o[10] >> 4 & 7);
+    d->reconstruct.occlusion = (zbufrand_occlusion)(o[11] & 7); d->reconstruct.reach = o[11] >> 3 & 7;
+    d->reconstruct.plane_depth = o[11] >> 6 & 1; d->reconstruct.repair = o[11] >> 7;
+    d->reconstruct.gauss_radius = o[12] & 1 ? f[50] : 0; d->reconstruct.gauss_support = o[12] & 2 ? f[51] : 0;
+    if (o[12] & 64) memcpy(&d->reconstruct.tolerance, f + 52, 5 * sizeof(float));
+    d->reconstruct.drop_back = o[12] >> 7;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+    static picture p[2]; /* 6 KB */
+    world g;
+    const uint8_t *o = data + 1;
+    zbufrand_scene_desc sd;
+    zbufrand_build_desc b;
+    zbufrand_render_desc d;
+    zbufrand_light light;
+    zbufrand_scene *scene = NULL;
+    size_t i, n = size > OPTIONS + 1 ? data[0] % (NODES + 1u) : 0;
+    if (n == 0 || size < OPTIONS + 1 + 4 * n) return 0;
+    memset(&g, 0, sizeof g); memset(&sd, 0, sizeof sd);
+    g.node[0] = ZBUFRAND_ROOT;
+    world_numbers(&g, data + OPTIONS + 1 + 4 * n, size - (OPTIONS + 1 + 4 * n));
+    sd.env.thread_count = 1;
+    sd.env.memory_limit = 1u << 28;
+    if (zbufrand_scene_create(&sd, &scene) != ZBUFRAND_OK) abort();
+    world_nodes(&g, scene, data + OPTIONS + 1, n);
+    options_of(&b, &d, &light, o, g.f);
     if (zbufrand_scene_build(scene, &b, NULL) == ZBUFRAND_OK) {
         draw(scene, &d, o[12] & 4, p);
         ask(scene, &d);
-        cameras(scene, &d.camera, f);
+        cameras(scene, &d.camera, g.f);
         for (i = 0; i < (o[19] & 128 ? MANY : 3); i++) { /* edits, as many as there are bytes for, or one after the other of a row */
-            const zbufrand_transform t = place(o[13 + 2 * (i % 3)], f + (o[13 + 2 * (i % 3)] + i / 3) % (NUMBERS - 12));
-            const zbufrand_node which = node[1 + o[14 + 2 * (i % 3)] % n];
+            const zbufrand_transform t = place(o[13 + 2 * (i % 3)], g.f + (o[13 + 2 * (i % 3)] + i / 3) % (NUMBERS - 12));
+            const zbufrand_node which = g.node[1 + o[14 + 2 * (i % 3)] % n];
             if (o[19] & 1) (void)zbufrand_set_reference(scene, which, i < 3 ? o[19] >> 1 & 7 : i, o[19] & 16 ? NULL : &t);
             if (o[12] & 8) (void)zbufrand_move(scene, which, &t);
             else if (o[12] & 16) (void)zbufrand_remove(scene, which);

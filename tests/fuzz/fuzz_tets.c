@@ -316,22 +316,9 @@ static void cast(const tetcast_render_desc *desc, const tetcast_mesh *mesh, cons
     for (i = 0; i < RAYS; i++) must(is_finite(got[0][i].rgba[0]) && is_finite(got[0][i].rgba[3]) && got[0][i].length >= 0.0f);
 }
 
-/* A picture of the mesh, walked, projected or with a shader, by all instruction sets. */
-static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
-    static picture p[2];
-    tetcast_control_point knot[KNOTS];
-    tetcast_isovalue iso[2];
-    tetcast_light light;
-    tetcast_transfer_desc td;
-    tetcast_optics_desc od;
-    tetcast_render_desc d;
-    tetcast_transfer *transfer = NULL, *other = NULL;
-    tetcast_optics *optics = NULL;
-    tetcast_transfer_info ti;
-    tetcast_optics_info oi;
+static void transfer_of(tetcast_transfer_desc *td, tetcast_control_point knot[KNOTS], tetcast_isovalue iso[2], const uint8_t *o, const float *f) {
     uint32_t i, k;
-    memset(&td, 0, sizeof td); memset(&od, 0, sizeof od); memset(&d, 0, sizeof d); memset(knot, 0, sizeof knot); memset(iso, 0, sizeof iso);
-    memset(&light, 0, sizeof light);
+    memset(td, 0, sizeof *td); memset(knot, 0, KNOTS * sizeof *knot); memset(iso, 0, 2 * sizeof *iso);
     for (i = 0; i < KNOTS; i++) { /* values ascend, the others are any */
         knot[i].value = (i != 0 ? knot[i - 1].value : f[250]) + (f[20 + i] > 0.0f ? f[20 + i] : 0.0f);
         for (k = 0; k < 3; k++) knot[i].rgb[k] = o[7] & 1 ? f[30 + 3 * i + k] : (float)((i + k) % 4) / 4;
@@ -343,32 +330,100 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
         iso[i].rgb[i] = 1;
         iso[i].specular = o[7] & 8 ? f[74] : 0.2f;
     }
-    td.env = env_of(1);
-    td.points = knot;
-    td.point_count = o[8] % (KNOTS + 1u);
-    td.color_mode = (tetcast_color_mode)(o[7] >> 4 & 1);
-    td.isovalues = iso;
-    td.isovalue_count = o[7] >> 5 & 1 ? 2 : 0;
-    td.simplify = o[7] & 64 ? f[76] : 0;
-    td.extinction_scale = o[7] & 128 ? f[77] : 0;
-    od.env = env_of(1);
-    od.model = (tetcast_model)(o[9] & 7);
-    od.integrator = (tetcast_integrator)(o[9] >> 3 & 15);
-    od.samples = o[10] & 3;
-    od.table_values = 2u + (o[10] >> 2 & 7);
-    od.table_lengths = 2u + (o[10] >> 5);
-    od.longest = o[11] & 1 ? f[78] : 2;
-    od.step = o[11] & 2 ? f[79] : 0;
-    od.t_min = o[11] & 4 ? f[80] : 0;
-    od.tolerance = o[11] & 8 ? f[81] : 0;
-    od.path_length = o[11] & 16 ? f[82] : 0;
-    od.cue = o[11] >> 5 & 1;
-    od.cue_depth[1] = f[83];
-    od.cue_scale[0] = 1;
-    light.direction[0] = f[84];
-    light.direction[1] = light.rgb[0] = 1;
-    od.lights = &light;
-    od.light_count = o[11] >> 6 & 1;
+    td->env = env_of(1);
+    td->points = knot;
+    td->point_count = o[8] % (KNOTS + 1u);
+    td->color_mode = (tetcast_color_mode)(o[7] >> 4 & 1);
+    td->isovalues = iso;
+    td->isovalue_count = o[7] >> 5 & 1 ? 2 : 0;
+    td->simplify = o[7] & 64 ? f[76] : 0;
+    td->extinction_scale = o[7] & 128 ? f[77] : 0;
+}
+
+static void optics_of(tetcast_optics_desc *od, tetcast_light *light, const uint8_t *o, const float *f) {
+    memset(od, 0, sizeof *od); memset(light, 0, sizeof *light);
+    od->env = env_of(1);
+    od->model = (tetcast_model)(o[9] & 7);
+    od->integrator = (tetcast_integrator)(o[9] >> 3 & 15);
+    od->samples = o[10] & 3;
+    od->table_values = 2u + (o[10] >> 2 & 7);
+    od->table_lengths = 2u + (o[10] >> 5);
+    od->longest = o[11] & 1 ? f[78] : 2;
+    od->step = o[11] & 2 ? f[79] : 0;
+    od->t_min = o[11] & 4 ? f[80] : 0;
+    od->tolerance = o[11] & 8 ? f[81] : 0;
+    od->path_length = o[11] & 16 ? f[82] : 0;
+    od->cue = o[11] >> 5 & 1;
+    od->cue_depth[1] = f[83];
+    od->cue_scale[0] = 1;
+    light->direction[0] = f[84];
+    light->direction[1] = light->rgb[0] = 1;
+    od->lights = light;
+    od->light_count = o[11] >> 6 & 1;
+}
+
+/* A picture by the scalar code and by the best, on one thread and perhaps two, by the method or shaded, `every` without a shader of
+   its own. Then over itself. */
+static void draw_both_ways(const tetcast_render_desc *desc, const tetcast_mesh *mesh, const tetcast_optics *optics, const uint8_t *o,
+                           int by_method, int every) {
+    static picture p[2];
+    const uint32_t overlap[4] = {o[18] & 15u, o[18] >> 4, o[19] & 15u, o[19] >> 4}; /* borders that fade */
+    const int fits = overlap[0] <= WIDE && overlap[1] <= WIDE && overlap[2] <= HIGH && overlap[3] <= HIGH;
+    tetcast_render_desc d = *desc;
+    tetcast_result r[2];
+    uint32_t k;
+    memset(p, 0, sizeof p);
+    for (k = 0; k < 2; k++) {
+        tetcast_image m;
+        memset(&m, 0, sizeof m);
+        m.width = WIDE;
+        m.height = HIGH;
+        m.rgba = p[k].rgba[0];
+        m.rgba8 = p[k].rgba8[0];
+        m.length = p[k].length;
+        if (o[13] & 2) m.depth = p[k].depth;
+        if (o[13] & 4) m.steps = p[k].steps;
+        d.env = env_of(k != 0 && (o[16] & 8) ? 2 : 1);
+        d.isa = k != 0 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
+        if (by_method) r[k] = tetcast_render(&d, mesh, optics, &m, NULL);
+        else {
+            tetcast_shader s;
+            tetcast_shade_desc sd;
+            memset(&s, 0, sizeof s); memset(&sd, 0, sizeof sd);
+            s.shade_fn = shade;
+            s.needs = o[13] >> 3 & 15;
+            sd.env = d.env;
+            sd.camera = d.camera;
+            sd.clip_near = d.clip_near;
+            sd.shader = every ? NULL : &s;
+            r[k] = tetcast_render_shaded(&sd, mesh, optics, &m, NULL);
+        }
+    }
+    must(r[0] == r[1]);
+    if (r[0] != TETCAST_OK) return;
+    must(memcmp(&p[0], &p[1], sizeof p[0]) == 0);
+    for (k = 0; k < HIGH * WIDE; k++) must(is_finite(p[0].rgba[k][3]) && is_finite(p[0].rgba[k][0]) && p[0].length[k] >= 0.0f);
+    tetcast_over(p[0].rgba[0], p[1].rgba[0], WIDE * HIGH); /* in front of itself */
+    must((tetcast_edge_blend(p[1].rgba[0], WIDE, HIGH, overlap) == TETCAST_OK) == fits);
+    for (k = 0; k < HIGH * WIDE; k++) must(is_finite(p[0].rgba[k][0]) && is_finite(p[1].rgba[k][0]));
+}
+
+/* A picture of the mesh, walked, projected or with a shader, by all instruction sets. */
+static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
+    tetcast_control_point knot[KNOTS];
+    tetcast_isovalue iso[2];
+    tetcast_light light;
+    tetcast_transfer_desc td;
+    tetcast_optics_desc od;
+    tetcast_render_desc d;
+    tetcast_transfer *transfer = NULL, *other = NULL;
+    tetcast_optics *optics = NULL;
+    tetcast_transfer_info ti;
+    tetcast_optics_info oi;
+    uint32_t i, k;
+    memset(&d, 0, sizeof d);
+    transfer_of(&td, knot, iso, o, f);
+    optics_of(&od, &light, o, f);
     if (tetcast_transfer_create(&td, &transfer) != TETCAST_OK) return;
     tetcast_transfer_get_info(transfer, &ti);
     must(ti.knot_count + ti.dropped_count >= ti.jump_count && ti.value[0] <= ti.value[1] && ti.isovalue_count <= td.isovalue_count);
@@ -382,7 +437,6 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
         if (other != NULL) ask_transfer(transfer, other, knot, (uint32_t)td.point_count);
     }
     if (tetcast_optics_create(transfer, &od, &optics) == TETCAST_OK) {
-        const int every = od.cue == 0 && (o[12] & 1) == 0;
         tetcast_optics_get_info(optics, &oi);
         must(oi.model == od.model && oi.bound == oi.bound && (oi.bound < 0.0f || (oi.bound_end >= 0.0f && oi.bound_knots >= 0.0f)));
         for (k = 0; k < 3; k++) {
@@ -398,46 +452,8 @@ static void draw(const tetcast_mesh *mesh, const uint8_t *o, const float *f) {
         d.traverse_only = o[13] >> 7;
         d.no_leaping = o[13] & 1;
         for (i = o[16] & 3; i < 3; i += 3) {
-            tetcast_result r[2];
-            memset(p, 0, sizeof p);
-            for (k = 0; k < 2; k++) {
-                tetcast_image m;
-                memset(&m, 0, sizeof m);
-                m.width = WIDE;
-                m.height = HIGH;
-                m.rgba = p[k].rgba[0];
-                m.rgba8 = p[k].rgba8[0];
-                m.length = p[k].length;
-                if (o[13] & 2) m.depth = p[k].depth;
-                if (o[13] & 4) m.steps = p[k].steps;
-                d.env = env_of(k != 0 && (o[16] & 8) ? 2 : 1);
-                d.isa = k != 0 ? TETCAST_ISA_AUTO : TETCAST_ISA_SCALAR;
-                d.method = (tetcast_method)(i & 1 ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK);
-                if (i < 2) r[k] = tetcast_render(&d, mesh, optics, &m, NULL);
-                else {
-                    tetcast_shader s;
-                    tetcast_shade_desc sd;
-                    memset(&s, 0, sizeof s); memset(&sd, 0, sizeof sd);
-                    s.shade_fn = shade;
-                    s.needs = o[13] >> 3 & 15;
-                    sd.env = d.env;
-                    sd.camera = d.camera;
-                    sd.clip_near = d.clip_near;
-                    sd.shader = every ? NULL : &s;
-                    r[k] = tetcast_render_shaded(&sd, mesh, optics, &m, NULL);
-                }
-            }
-            must(r[0] == r[1]);
-            if (r[0] != TETCAST_OK) continue;
-            must(memcmp(&p[0], &p[1], sizeof p[0]) == 0);
-            for (k = 0; k < HIGH * WIDE; k++) must(is_finite(p[0].rgba[k][3]) && is_finite(p[0].rgba[k][0]) && p[0].length[k] >= 0.0f);
-            tetcast_over(p[0].rgba[0], p[1].rgba[0], WIDE * HIGH); /* in front of itself, with borders that fade */
-            {
-                const uint32_t overlap[4] = {o[18] & 15u, o[18] >> 4, o[19] & 15u, o[19] >> 4};
-                const int fits = overlap[0] <= WIDE && overlap[1] <= WIDE && overlap[2] <= HIGH && overlap[3] <= HIGH;
-                must((tetcast_edge_blend(p[1].rgba[0], WIDE, HIGH, overlap) == TETCAST_OK) == fits);
-            }
-            for (k = 0; k < HIGH * WIDE; k++) must(is_finite(p[0].rgba[k][0]) && is_finite(p[1].rgba[k][0]));
+            d.method = (tetcast_method)(i & 1 ? TETCAST_METHOD_PROJECT : TETCAST_METHOD_WALK);
+            draw_both_ways(&d, mesh, optics, o, i < 2, od.cue == 0 && (o[12] & 1) == 0);
         }
         cast(&d, mesh, optics, o, f);
         if (other != NULL) ask_optics(optics, other, &od, f);
