@@ -140,6 +140,12 @@ TEST(lights) {
 
 typedef struct world { zbufrand_mesh mesh, coloured; uint8_t rgb[3000]; shape s; } world;
 
+/* Whatever was refused: from here on there is memory. */
+static void memory_again(const zbufrand_env *env) {
+    test_alloc *ta = (test_alloc *)env->allocator.user;
+    ta->fail_at = -1;
+}
+
 static zbufrand_result points_of_scene(const world *w, const zbufrand_env *env) {
     static float position[3 * 500], normal[3 * 500];
     static uint8_t rgb[3 * 500];
@@ -207,6 +213,30 @@ static zbufrand_result edited(const world *w, const zbufrand_env *env) { /* the 
     if (r == ZBUFRAND_OK) r = zbufrand_scene_update(s, NULL);
     if (r == ZBUFRAND_OK) r = zbufrand_remove(s, node);
     if (r == ZBUFRAND_OK) r = zbufrand_scene_update(s, NULL);
+    zbufrand_scene_destroy(s);
+    return r;
+}
+
+/* Points of a scene whose areas edits changed: they are summed anew. Refused, and asked for again, they are the same. */
+static zbufrand_result points_of_edited(const world *w, const zbufrand_env *env) {
+    static float position[2][3 * 50];
+    static int known;
+    zbufrand_transform t = move_scale(3, 0, 0, 2);
+    zbufrand_node node;
+    zbufrand_result r;
+    zbufrand_scene *s = scene_of(env, &w->mesh, &r);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_mesh(s, 1, &t, 0, &w->coloured, &node);
+    if (r == ZBUFRAND_OK) r = zbufrand_scene_update(s, NULL);
+    if (r == ZBUFRAND_OK) {
+        CHECK(s->structure[0].sum_stale);
+        r = zbufrand_surface_points(s, NULL, 50, position[known], NULL, NULL, NULL);
+        if (r != ZBUFRAND_OK) {
+            memory_again(env);
+            CHECK_EQ_U64(zbufrand_surface_points(s, NULL, 50, position[known], NULL, NULL, NULL), ZBUFRAND_OK);
+        }
+        if (known) CHECK(memcmp(position[0], position[1], sizeof position[0]) == 0);
+        known = 1;
+    }
     zbufrand_scene_destroy(s);
     return r;
 }
@@ -339,10 +369,67 @@ static zbufrand_result many_lists(const world *w, const zbufrand_env *env) { ret
 static zbufrand_result many_moves(const world *w, const zbufrand_env *env) { return waiting(w, env, 1); }
 static zbufrand_result many_appended(const world *w, const zbufrand_env *env) { return waiting(w, env, 2); }
 
+/* A scene that makes a build ask for more than it usually does. Refused and built again, it is all there. */
+enum { UNUSUAL_NESTED, UNUSUAL_SMALLER, UNUSUAL_ATTRIBUTES, UNUSUAL_VIEWS };
+
+static zbufrand_result unusual_nodes(const world *w, zbufrand_scene *s, int what, uint64_t *triangles) {
+    enum { DEEP = 70, SMALLER = 600, MANY = 33 };
+    static zbufrand_transform t[SMALLER];
+    zbufrand_mesh m = w->mesh;
+    zbufrand_node node = ZBUFRAND_ROOT;
+    zbufrand_result r = ZBUFRAND_OK;
+    const uint32_t count = what == UNUSUAL_SMALLER ? SMALLER : MANY, meshes = what == UNUSUAL_VIEWS ? 4 : what == UNUSUAL_SMALLER ? 1 : 2;
+    const int hidden = what == UNUSUAL_SMALLER || what == UNUSUAL_VIEWS;
+    uint32_t i;
+    for (i = 0; i < (what == UNUSUAL_NESTED ? DEEP : 1u) && r == ZBUFRAND_OK; i++)
+        r = zbufrand_add_list(s, node, NULL, hidden ? ZBUFRAND_HIDDEN : 0u, &node);
+    for (i = 0; i < meshes && r == ZBUFRAND_OK; i++) {
+        if (what == UNUSUAL_ATTRIBUTES && i == 1) { /* this one has colours and normals, and another material */
+            m = w->coloured;
+            m.material = 1;
+        }
+        r = zbufrand_add_mesh(s, node, NULL, 0, &m, NULL);
+    }
+    *triangles = (uint64_t)meshes * m.triangle_count * (hidden ? count : 1);
+    for (i = 0; i < count; i++) /* three at each place, ever smaller: trees are deep there; or many alike */
+        t[i] = what == UNUSUAL_VIEWS ? move_scale(3.0 * i, 0, 0, 1) : move_scale(pow(0.8, (double)(i / 3)), 0, 0, pow(0.8, (double)(i / 3)));
+    return r == ZBUFRAND_OK && hidden ? zbufrand_add_references(s, ZBUFRAND_ROOT, t, count, node, NULL) : r;
+}
+
+static zbufrand_result unusual(const world *w, const zbufrand_env *env, int what) {
+    zbufrand_scene_desc d;
+    zbufrand_scene_info info;
+    zbufrand_scene *s = NULL;
+    zbufrand_result r;
+    uint64_t triangles = 0;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = zbufrand_scene_create(&d, &s);
+    if (r == ZBUFRAND_OK) r = unusual_nodes(w, s, what, &triangles);
+    if (r == ZBUFRAND_OK) {
+        r = zbufrand_scene_build(s, NULL, &info);
+        if (r != ZBUFRAND_OK) {
+            memory_again(env);
+            CHECK_EQ_U64(zbufrand_scene_build(s, NULL, &info), ZBUFRAND_OK);
+        }
+        CHECK_EQ_U64(info.triangles, triangles);
+        if (what == UNUSUAL_ATTRIBUTES) CHECK(s->structure[0].set_rgb != NULL && s->structure[0].set_normal != NULL && s->structure[0].set_material != NULL);
+        if (what == UNUSUAL_VIEWS) CHECK(s->structure_count == 2 && s->structure[1].view != NULL);
+    }
+    zbufrand_scene_destroy(s);
+    return r;
+}
+static zbufrand_result nested_lists(const world *w, const zbufrand_env *env) { return unusual(w, env, UNUSUAL_NESTED); }
+static zbufrand_result ever_smaller(const world *w, const zbufrand_env *env) { return unusual(w, env, UNUSUAL_SMALLER); }
+static zbufrand_result all_attributes(const world *w, const zbufrand_env *env) { return unusual(w, env, UNUSUAL_ATTRIBUTES); }
+static zbufrand_result with_views(const world *w, const zbufrand_env *env) { return unusual(w, env, UNUSUAL_VIEWS); }
+
 static const struct call { const char *name; zbufrand_result (*run)(const world *w, const zbufrand_env *env); uint32_t least; } call[] = {
     {"points", points_of_scene, 5}, {"page of points", whole_page, 5}, {"choices", choices, 5}, {"edits", edited, 5},
     {"suspects", mended, 2}, {"lists", lists, 5}, {"places", places, 8},
-    {"many lists", many_lists, 5}, {"many moves", many_moves, 8}, {"many come into a list", many_appended, 8}
+    {"many lists", many_lists, 5}, {"many moves", many_moves, 8}, {"many come into a list", many_appended, 8},
+    {"points of what was edited", points_of_edited, 5}, {"nested lists", nested_lists, 8}, {"ever smaller", ever_smaller, 8},
+    {"all attributes", all_attributes, 8}, {"with views", with_views, 8}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;

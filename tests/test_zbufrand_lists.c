@@ -1831,60 +1831,78 @@ TEST(bad_fields) {
     zbufrand_scene_destroy(scene);
 }
 
-/* Every allocation fails once: nothing leaks, a scene can be built afterwards. */
+/* A request for memory fails in a build, a choice or a picture: nothing leaks, and once there is memory again, what was refused
+   works, and the picture is the one it was. 0: there are fewer requests. */
+static int one_refused(uint32_t kind, const zbufrand_mesh *m, int64_t k, uint64_t *hash) {
+    static float depth[32 * 24];
+    test_alloc ta;
+    zbufrand_scene_desc sd;
+    zbufrand_frame_desc fd;
+    const zbufrand_build_desc bd = kind_of(kind);
+    zbufrand_render_desc d;
+    zbufrand_scene *scene = NULL;
+    zbufrand_frame *frame = NULL;
+    zbufrand_image im;
+    zbufrand_node node;
+    zbufrand_result r;
+    size_t n = 0;
+    int step, i, refused;
+    test_alloc_init(&ta);
+    ta.fail_at = k;
+    memset(&sd, 0, sizeof sd);
+    memset(&fd, 0, sizeof fd);
+    memset(&d, 0, sizeof d);
+    memset(&im, 0, sizeof im);
+    sd.env.allocator.alloc_fn = test_alloc_fn;
+    sd.env.allocator.free_fn = test_free_fn;
+    sd.env.allocator.user = &ta;
+    sd.env.thread_count = 1;
+    fd.env = sd.env;
+    im.width = 32;
+    im.height = 24;
+    im.depth = depth;
+    d.density = 1;
+    r = zbufrand_scene_create(&sd, &scene);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_mesh(scene, 1, NULL, 0, m, &node);
+    if (r == ZBUFRAND_OK) r = zbufrand_add_reference(scene, 1, NULL, node, NULL);
+    if (r == ZBUFRAND_OK) r = zbufrand_frame_create(&fd, &frame);
+    for (step = 0, refused = r != ZBUFRAND_OK; step < 3 && frame != NULL; step++) {
+        for (i = 0; i < 2 && (i == 0 || r != ZBUFRAND_OK); i++) {
+            if (step == 0) r = zbufrand_scene_build(scene, &bd, NULL);
+            else if (step == 1) r = zbufrand_select(frame, &d, scene, 32, 24, NULL, 0, &n, NULL);
+            else r = zbufrand_render(frame, &d, scene, &im, NULL);
+            CHECK(r == ZBUFRAND_OK || (i == 0 && r == ZBUFRAND_ERR_NO_MEMORY));
+            refused += r != ZBUFRAND_OK;
+        }
+    }
+    CHECK_EQ_I64(refused, ta.failed);
+    if (frame != NULL) {
+        CHECK(n > 0);
+        if (*hash == 0) *hash = test_fnv1a(depth, sizeof depth, 0);
+        CHECK_EQ_U64(test_fnv1a(depth, sizeof depth, 0), *hash);
+    }
+    zbufrand_frame_destroy(frame);
+    zbufrand_scene_destroy(scene);
+    test_alloc_check(&ta);
+    return ta.failed != 0;
+}
+
 TEST(no_memory) {
     uint32_t kind;
-    for (kind = 0; kind < 4; kind++) {
+    test_rng r = test_rng_make(3);
+    shape s;
+    zbufrand_mesh m;
+    memset(&s, 0, sizeof s);
+    soup(&s, &r, 150, 0.1, 1);
+    m = mesh_of(&s);
+    for (kind = 0; kind < 6; kind++) {
+        uint64_t hash = 0;
         int64_t k;
-        test_rng r = test_rng_make(3);
-        shape s;
-        zbufrand_mesh m;
-        memset(&s, 0, sizeof s);
-        soup(&s, &r, 300, 0.1, 1);
-        m = mesh_of(&s);
-        for (k = 0; k < 4000; k += test_quick() ? 1 + k / 20 : 1) {
-            test_alloc ta;
-            zbufrand_scene_desc sd;
-            zbufrand_frame_desc fd;
-            zbufrand_build_desc bd = kind_of(kind);
-            zbufrand_render_desc d;
-            zbufrand_scene *scene = NULL;
-            zbufrand_frame *frame = NULL;
-            zbufrand_image im;
-            zbufrand_node node;
-            zbufrand_result res;
-            static float depth[32 * 24];
-            test_alloc_init(&ta);
-            ta.fail_at = k;
-            memset(&sd, 0, sizeof sd);
-            memset(&fd, 0, sizeof fd);
-            memset(&d, 0, sizeof d);
-            memset(&im, 0, sizeof im);
-            sd.env.allocator.alloc_fn = test_alloc_fn;
-            sd.env.allocator.free_fn = test_free_fn;
-            sd.env.allocator.user = &ta;
-            sd.env.thread_count = 1;
-            fd.env = sd.env;
-            im.width = 32;
-            im.height = 24;
-            im.depth = depth;
-            d.density = 1;
-            res = zbufrand_scene_create(&sd, &scene);
-            if (res == ZBUFRAND_OK) res = zbufrand_add_mesh(scene, 1, NULL, 0, &m, &node);
-            if (res == ZBUFRAND_OK) res = zbufrand_add_reference(scene, 1, NULL, node, NULL);
-            if (res == ZBUFRAND_OK) res = zbufrand_scene_build(scene, &bd, NULL);
-            if (res == ZBUFRAND_OK) res = zbufrand_frame_create(&fd, &frame);
-            if (res == ZBUFRAND_OK) res = zbufrand_render(frame, &d, scene, &im, NULL);
-            CHECK((res == ZBUFRAND_OK) == (ta.failed == 0));
-            CHECK(res == ZBUFRAND_OK || res == ZBUFRAND_ERR_NO_MEMORY);
-            zbufrand_frame_destroy(frame);
-            zbufrand_scene_destroy(scene);
-            test_alloc_check(&ta);
-            if (ta.failed == 0) break;
-        }
-        CHECK_MSG(k > 20 && k < 4000, "%d allocations", (int)k);
-        shape_free(&s);
+        for (k = 0; k < 4000; k += test_quick() ? 1 + k / 20 : 1)
+            if (!one_refused(kind, &m, k, &hash)) break;
+        CHECK_MSG(k > 20 && k < 4000, "kind %u: %d allocations", kind, (int)k);
     }
+    shape_free(&s);
 }
 
 int main(int argc, char **argv) {

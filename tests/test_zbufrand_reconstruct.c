@@ -2235,84 +2235,92 @@ TEST(errors) {
     zbufrand_layers_destroy(NULL);
 }
 
+static zbufrand_canvas_desc refused_options(int option) {
+    zbufrand_canvas_desc d = reconstruct_defaults(40, 30, option == 8 ? 1 : 3);
+    if (option < 6) d.reconstruct.fill = (zbufrand_fill)option;
+    if (option & 1) d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
+    d.reconstruct.plane_depth = option == 6;
+    d.reconstruct.drop_back = option == 7;
+    d.reconstruct.tolerance_color = option == 7 ? 0.1f : 0.0f;
+    d.reconstruct.tolerance_slope = option == 7 ? 1.0f : -1.0f;
+    d.reconstruct.repair = option == 8 || option == 0;
+    return d;
+}
+
+/* Request k of a canvas refused; the canvas then makes the picture that it was asked for. 0: there are fewer requests. */
+static int canvas_refused(int option, int64_t k, uint64_t *hash) {
+    test_alloc ta;
+    zbufrand_canvas_desc d = refused_options(option);
+    zbufrand_canvas *c = NULL;
+    zbufrand_picture p;
+    zbufrand_source source;
+    zbufrand_resolve_stats st;
+    zbufrand_result r;
+    zbufrand_sample s;
+    static float rgba[40 * 30 * 4];
+    int failed;
+    uint32_t i;
+    memset(&p, 0, sizeof p);
+    memset(&source, 0, sizeof source);
+    memset(&s, 0, sizeof s);
+    test_alloc_init(&ta);
+    ta.fail_at = k;
+    d.env.allocator.alloc_fn = test_alloc_fn;
+    d.env.allocator.free_fn = test_free_fn;
+    d.env.allocator.user = &ta;
+    r = zbufrand_canvas_create(&d, &c);
+    CHECK((r == ZBUFRAND_OK) == (c != NULL));
+    failed = r == ZBUFRAND_ERR_NO_MEMORY;
+    if (r == ZBUFRAND_OK) {
+        for (i = 0; i < 40 * 30; i++) { /* a wall with holes, so that the repair has something to do */
+            s.x = (float)(i % 40) + 0.5f;
+            s.y = (float)(i / 40) + 0.5f;
+            s.z = 1.0f;
+            if (i % 7 != 0) zbufrand_canvas_submit(c, &s, 1, 0, NULL);
+        }
+        source.shade_fn = zbufrand_samples_shade;
+        source.user = &s;
+        p.rgba = rgba;
+        r = zbufrand_canvas_resolve(c, &source, &p, &st);
+        CHECK(r == ZBUFRAND_OK || r == ZBUFRAND_ERR_NO_MEMORY);
+        failed = r == ZBUFRAND_ERR_NO_MEMORY;
+        if (failed) CHECK_EQ_U64(zbufrand_canvas_resolve(c, &source, &p, &st), ZBUFRAND_OK);
+        CHECK((st.holes > 100) == (option == 8));
+        if (*hash == 0) *hash = test_fnv1a(rgba, sizeof rgba, 0);
+        CHECK_EQ_U64(test_fnv1a(rgba, sizeof rgba, 0), *hash);
+        zbufrand_canvas_destroy(c);
+    }
+    test_alloc_check(&ta);
+    CHECK(failed == (ta.failed != 0));
+    return failed;
+}
+
 TEST(memory_runs_out) {
+    int64_t k;
     int option;
     for (option = 0; option < 9; option++) {
-        int64_t k;
-        for (k = 0;; k++) {
-            test_alloc ta;
-            zbufrand_canvas_desc d = reconstruct_defaults(40, 30, 3);
-            zbufrand_canvas *c = NULL;
-            zbufrand_picture p;
-            zbufrand_source source;
-            zbufrand_result r;
-            zbufrand_sample s;
-            static float rgba[40 * 30 * 4];
-            int failed;
-            memset(&p, 0, sizeof p);
-            memset(&source, 0, sizeof source);
-            memset(&s, 0, sizeof s);
-            test_alloc_init(&ta);
-            ta.fail_at = k;
-            d.env.allocator.alloc_fn = test_alloc_fn;
-            d.env.allocator.free_fn = test_free_fn;
-            d.env.allocator.user = &ta;
-            if (option < 6) d.reconstruct.fill = (zbufrand_fill)option;
-            if (option & 1) d.reconstruct.occlusion = ZBUFRAND_OCCLUSION_SQUARES;
-            d.reconstruct.plane_depth = option == 6;
-            d.reconstruct.drop_back = option == 7;
-            d.reconstruct.tolerance_color = option == 7 ? 0.1f : 0.0f;
-            d.reconstruct.tolerance_slope = option == 7 ? 1.0f : -1.0f;
-            d.reconstruct.repair = option == 8 || option == 0;
-            r = zbufrand_canvas_create(&d, &c);
-            CHECK((r == ZBUFRAND_OK) == (c != NULL));
-            failed = r == ZBUFRAND_ERR_NO_MEMORY;
-            if (r == ZBUFRAND_OK) {
-                size_t i;
-                for (i = 0; i < 200; i++) { /* a wall with holes, so that the repair has something to do */
-                    s.x = (float)(i % 40) + 0.5f;
-                    s.y = (float)(i / 40) * 3.0f + 0.5f;
-                    s.z = 1.0f;
-                    if (i % 7 != 0) zbufrand_canvas_submit(c, &s, 1, 0, NULL);
-                }
-                source.shade_fn = zbufrand_samples_shade;
-                source.user = &s;
-                p.rgba = rgba;
-                r = zbufrand_canvas_resolve(c, &source, &p, NULL);
-                CHECK(r == ZBUFRAND_OK || r == ZBUFRAND_ERR_NO_MEMORY);
-                failed = r == ZBUFRAND_ERR_NO_MEMORY;
-                zbufrand_canvas_destroy(c);
-            }
-            test_alloc_check(&ta);
-            CHECK(failed == (ta.failed != 0));
-            if (ta.failed == 0) break;
-            if (k > 40) {
-                CHECK(0);
-                break;
-            }
-        }
+        uint64_t hash = 0;
+        for (k = 0; k <= 40 && canvas_refused(option, k, &hash); k++) {}
+        CHECK_MSG(k > 3 && k <= 40, "option %d: %d requests", option, (int)k);
     }
-    {
-        int64_t k;
-        for (k = 0;; k++) {
-            test_alloc ta;
-            zbufrand_layers_desc d;
-            zbufrand_layers *l = NULL;
-            zbufrand_result r;
-            memset(&d, 0, sizeof d);
-            test_alloc_init(&ta);
-            ta.fail_at = k;
-            d.env.allocator.alloc_fn = test_alloc_fn;
-            d.env.allocator.free_fn = test_free_fn;
-            d.env.allocator.user = &ta;
-            d.width = d.height = 9;
-            d.density = 1.0f;
-            r = zbufrand_layers_create(&d, &l);
-            zbufrand_layers_destroy(l);
-            test_alloc_check(&ta);
-            CHECK((r == ZBUFRAND_ERR_NO_MEMORY) == (ta.failed != 0));
-            if (ta.failed == 0) break;
-        }
+    for (k = 0;; k++) {
+        test_alloc ta;
+        zbufrand_layers_desc d;
+        zbufrand_layers *l = NULL;
+        zbufrand_result r;
+        memset(&d, 0, sizeof d);
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        d.env.allocator.alloc_fn = test_alloc_fn;
+        d.env.allocator.free_fn = test_free_fn;
+        d.env.allocator.user = &ta;
+        d.width = d.height = 9;
+        d.density = 1.0f;
+        r = zbufrand_layers_create(&d, &l);
+        zbufrand_layers_destroy(l);
+        test_alloc_check(&ta);
+        CHECK((r == ZBUFRAND_ERR_NO_MEMORY) == (ta.failed != 0));
+        if (ta.failed == 0) break;
     }
 }
 

@@ -1306,53 +1306,105 @@ TEST(nothing_is_allocated_twice) {
     shape_free(&s[1]);
 }
 
-TEST(out_of_memory) {
-    shape s[2];
-    zbufrand_scene *scene = forest(s, 60);
-    buffers b;
+enum { MEMORY_FRAME, MEMORY_FRAMES, MEMORY_RAYS, MEMORY_RASTER, MEMORY_CLOUDS, MEMORY_LAST_DRAW, MEMORY_MODES };
+
+static void memory_mode(uint32_t mode, zbufrand_render_desc *d, buffers *b) {
+    memset(d, 0, sizeof *d);
+    b->image.width = mode == MEMORY_RASTER ? 12 : 60;
+    b->image.height = mode == MEMORY_RASTER ? 8 : 40;
+    if (mode == MEMORY_FRAMES) {
+        d->oversample = 2;
+        d->reconstruct.block = 2;
+        d->reconstruct.fill = ZBUFRAND_FILL_GAUSS;
+        d->noise = 0.1;
+        d->max_frames = 2;
+    }
+    if (mode == MEMORY_RAYS || mode >= MEMORY_CLOUDS) { /* few samples, and rays for the rest */
+        d->hybrid = ZBUFRAND_HYBRID_OFF;
+        d->density = 0.5;
+        d->camera.eye[0] = 30;
+        d->camera.eye[1] = 1;
+        d->camera.eye[2] = 3;
+    }
+    if (mode == MEMORY_RASTER) d->hybrid = ZBUFRAND_HYBRID_ALL; /* down to each cluster: much is open at once */
+}
+
+/* Each request refused once; a frame that was refused one draws the same picture as any other. */
+static void memory_refused(const char *name, const zbufrand_render_desc *d, const zbufrand_scene *scene, buffers *b) {
+    uint64_t hash = 0;
     int64_t k;
-    uint32_t mode;
-    uint64_t hash[2] = {0, 0};
-    buffers_open(&b, 60, 40);
-    for (mode = 0; mode < 2; mode++) {
-        int done = 0;
-        for (k = -1; k < 5000 && !done; k++) { /* the first time nothing fails */
-            test_alloc ta;
-            zbufrand_frame_desc fd;
-            zbufrand_frame *frame = NULL;
-            zbufrand_render_desc d;
-            zbufrand_result r;
-            test_alloc_init(&ta);
-            ta.fail_at = k;
-            memset(&fd, 0, sizeof fd);
-            memset(&d, 0, sizeof d);
-            fd.env.allocator.alloc_fn = test_alloc_fn;
-            fd.env.allocator.free_fn = test_free_fn;
-            fd.env.allocator.user = &ta;
-            fd.env.thread_count = 1;
-            if (mode == 1) {
-                d.oversample = 2;
-                d.reconstruct.block = 2;
-                d.reconstruct.fill = ZBUFRAND_FILL_GAUSS;
-                d.noise = 0.1;
-                d.max_frames = 2;
+    int done = 0;
+    for (k = -1; k < 5000 && !done; k++) { /* the first time nothing fails */
+        test_alloc ta;
+        zbufrand_frame_desc fd;
+        zbufrand_frame *frame = NULL;
+        zbufrand_result r;
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        memset(&fd, 0, sizeof fd);
+        fd.env.allocator.alloc_fn = test_alloc_fn;
+        fd.env.allocator.free_fn = test_free_fn;
+        fd.env.allocator.user = &ta;
+        fd.env.thread_count = 1;
+        r = zbufrand_frame_create(&fd, &frame);
+        if (r == ZBUFRAND_OK) {
+            r = zbufrand_render(frame, d, scene, &b->image, NULL);
+            if (r != ZBUFRAND_OK) { /* and it goes on when there is memory again */
+                CHECK_EQ_U64(r, ZBUFRAND_ERR_NO_MEMORY);
+                CHECK_EQ_U64(zbufrand_render(frame, d, scene, &b->image, NULL), ZBUFRAND_OK);
             }
-            r = zbufrand_frame_create(&fd, &frame);
-            if (r == ZBUFRAND_OK) {
-                r = zbufrand_render(frame, &d, scene, &b.image, NULL);
-                if (r != ZBUFRAND_OK) { /* and it goes on when there is memory again */
-                    CHECK_EQ_U64(r, ZBUFRAND_ERR_NO_MEMORY);
-                    CHECK_EQ_U64(zbufrand_render(frame, &d, scene, &b.image, NULL), ZBUFRAND_OK);
-                }
-                if (hash[mode] == 0) hash[mode] = buffers_hash(&b);
-                CHECK_EQ_U64(buffers_hash(&b), hash[mode]);
-            }
-            zbufrand_frame_destroy(frame);
-            done = k >= 0 && ta.failed == 0;
-            CHECK(r == ZBUFRAND_OK || (ta.failed != 0 && r == ZBUFRAND_ERR_NO_MEMORY));
-            test_alloc_check(&ta);
+            if (hash == 0) hash = buffers_hash(b);
+            CHECK_EQ_U64(buffers_hash(b), hash);
         }
-        CHECK_MSG(done && k > 20, "mode %u: %d requests", mode, (int)k);
+        zbufrand_frame_destroy(frame);
+        done = k >= 0 && ta.failed == 0;
+        CHECK(r == ZBUFRAND_OK || (ta.failed != 0 && r == ZBUFRAND_ERR_NO_MEMORY));
+        test_alloc_check(&ta);
+    }
+    CHECK_MSG(done && k > 20, "%s: %d requests", name, (int)k);
+    if (test_g.verbose) printf("%s: %d requests\n", name, (int)k - 1);
+}
+
+/* How many clouds of a point make that of the rays the draw that needs more room than those before it. */
+static size_t memory_clouds(zbufrand_render_desc *d, const zbufrand_scene *scene, buffers *b, uint64_t *repaired) {
+    size_t n;
+    for (n = 1; n < 200; n++) {
+        zbufrand_frame *f = open_frame(1, ZBUFRAND_ISA_AUTO);
+        zbufrand_stats st;
+        int found;
+        d->points_count = n;
+        CHECK_EQ_U64(zbufrand_render(f, d, scene, &b->image, &st), ZBUFRAND_OK);
+        found = f->draw_count > 1 && f->draw_capacity == 2 * (f->draw_count - 1) &&
+                f->draw[f->draw_count - 1].item >> ZBUFRANDI_DRAW_SHIFT == ZBUFRANDI_DRAW_RAYS;
+        *repaired = st.repaired;
+        zbufrand_frame_destroy(f);
+        if (found) break;
+    }
+    return n;
+}
+
+TEST(out_of_memory) {
+    static const char *const name[MEMORY_MODES] = {"a frame", "frames", "rays", "all rastered", "clouds", "the last draw"};
+    static const float at[3] = {0, 0, 0};
+    zbufrand_points cloud[200];
+    shape s[2];
+    zbufrand_scene *scene = forest(s, 30);
+    buffers b;
+    uint64_t repaired = 0;
+    uint32_t mode, i;
+    memset(cloud, 0, sizeof cloud);
+    for (i = 0; i < 200; i++) {
+        cloud[i].positions = at;
+        cloud[i].count = 1;
+    }
+    buffers_open(&b, 60, 40);
+    for (mode = 0; mode < MEMORY_MODES; mode++) {
+        zbufrand_render_desc d;
+        memory_mode(mode, &d, &b);
+        if (mode >= MEMORY_CLOUDS) d.points = cloud;
+        if (mode == MEMORY_CLOUDS) d.points_count = 20;
+        if (mode == MEMORY_LAST_DRAW) CHECK(memory_clouds(&d, scene, &b, &repaired) < 200 && repaired > 0);
+        memory_refused(name[mode], &d, scene, &b);
     }
     buffers_close(&b);
     zbufrand_scene_destroy(scene);
