@@ -34,7 +34,7 @@ endif
 # --- build ---------------------------------------------------------------------------------------
 
 .PHONY: all examples tests benches demo test check fuzz fuzz-long soak bench bench-full report install uninstall clean help \
-        test-asan test-tsan test-msan coverage coverage-scalar FORCE
+        test-asan test-tsan test-msan coverage coverage-scalar refusals FORCE
 
 all: $(PROGRAMS)
 examples: $(EXAMPLES)
@@ -132,6 +132,8 @@ coverage-scalar: # the same without any vectors: what machines that have none ru
 	@TEST_QUICK=1 $(MAKE) --no-print-directory B=$(B)/cov-scalar CC=gcc \
 	  CFLAGS='-std=c99 -g -O0 -ffp-contract=off --coverage -DVOXRT_NO_SIMD -DZBUFRAND_NO_SIMD -DTETCAST_NO_SIMD' tests
 	@bash tests/coverage.sh $(B)/cov-scalar $(HEADERS)
+refusals: # some ten minutes
+	@bash tests/refusals.sh $(B)/refusals $(HEADERS)
 
 # --- measuring: one program after the other, never in parallel -----------------------------------
 
@@ -167,11 +169,12 @@ help:
 	@echo "all         build every program into $(B)/ (examples, tests, benches: only those)"
 	@echo "demo        pictures from generated scenes into $(G)/"
 	@echo "test        build and run the tests (TEST=\"name part\" runs some, V=1 names each)"
-	@echo "check       compile gate, sanitizers, fuzzing, other processors; under 20 minutes"
+	@echo "check       compile gate, sanitizers, fuzzing, other processors: hours; SHORT=1: half an hour"
 	@echo "fuzz        fuzzing only (FUZZ_SECONDS=60)"
 	@echo "test-asan test-tsan test-msan   tests under one sanitizer"
 	@echo "coverage    lines of the headers that the tests reach; $(B)/cov/NAME.uncovered lists the others"
 	@echo "coverage-scalar  the same without vector instructions"
+	@echo "refusals    requests for memory in the headers that no test refuses"
 	@echo "bench       short measurements and plots into $(B)/bench/; bench-full: all of them"
 	@echo "bench-peers the same work by Embree, OpenVDB, llvmpipe and VTK where they are installed, one table (docs/peers.md)"
 	@echo "web         a page with the three libraries in $(B)/web/ (needs emcc); web-test: the same page in Chromium"

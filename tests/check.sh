@@ -243,6 +243,13 @@ text_version() { # NAME: line 1, licence, version
     tail -n 80 $1.h | grep -q 'WITHOUT WARRANTY' || { echo "no licence text at the end"; return 1; }
     grep -q "^## .*$v\|$1.*$v" CHANGELOG.md || { echo "CHANGELOG.md does not know version $v"; return 1; }
 }
+text_functions() { # FILES: each under 100 lines, from the line of its name to its brace
+    awk 'FNR == 1 { first = open = 0 }
+        /^[a-zA-Z][^;=]*[(]/ && !open { first = FNR }
+        /[{]$/ && first { open = 1 }
+        /^}/ { if (open && FNR - first >= 99) { print FILENAME ":" first ": a function of " FNR - first + 1 " lines"; bad = 1 } first = open = 0 }
+        END { exit bad }' "$@"
+}
 group_text() {
     local n other=() files
     for n in "${HEADERS[@]}"; do
@@ -255,6 +262,7 @@ group_text() {
     done
     mapfile -t files < <(find examples tests bench \( -name '*.[ch]' -o -name '*.cpp' \) ! -path '*/corpus/*' | sort)
     item "text programs plain" text_plain $PROGRAM_LINE_LIMIT "${files[@]}"
+    item "text functions under 100 lines" text_functions "${HEADERS[@]/%/.h}" "${files[@]}"
 }
 
 # --- options: every X_NO_* is documented and known; wrong combinations are refused -------------------------------
