@@ -1381,6 +1381,8 @@ TEST(file_read) {
 #ifdef __linux__ /* says that it is empty */
     CHECK(voxrti_read_file(&mem, "/proc/cpuinfo", &got, &size) == VOXRT_OK && size > 10);
     voxrti_free(&mem, got);
+    ta.fail_at = ta.count; /* no room for it */
+    CHECK(voxrti_read_file(&mem, "/proc/cpuinfo", &got, &size) == VOXRT_ERR_NO_MEMORY && got == NULL && ta.failed == 1);
 #endif
     test_alloc_check(&ta);
     remove(path);

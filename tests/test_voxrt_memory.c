@@ -8,7 +8,7 @@
 #include "../voxrt.h"
 #include "shapes.h"
 
-enum { MEMORY_SIDE = 40 };
+enum { MEMORY_SIDE = 40, MEMORY_EDITS = 3 };
 
 typedef struct world {
     shape s;
@@ -16,6 +16,11 @@ typedef struct world {
     voxrt_tree *tree;
     voxrt_octree *octree;
     const char *tree_file, *octree_file, *paged_file, *fresh;
+    /* of world_more */
+    voxrt_tree *solid, *small;
+    voxrt_gi *gi;
+    const char *large_file;
+    uint64_t edited[MEMORY_EDITS + 1]; /* hash of the model after so many edits */
 } world;
 
 static voxrt_camera camera_at(double x, double y, double z) {
@@ -58,11 +63,15 @@ static void world_open(world *w) {
 static void world_close(world *w) {
     voxrt_tree_destroy(w->tree);
     voxrt_octree_destroy(w->octree);
+    voxrt_tree_destroy(w->solid);
+    voxrt_tree_destroy(w->small);
+    voxrt_gi_destroy(w->gi);
     shape_free(&w->s);
     (void)remove(w->tree_file);
     (void)remove(w->octree_file);
     (void)remove(w->paged_file);
     (void)remove(w->fresh);
+    if (w->large_file != NULL) (void)remove(w->large_file);
 }
 
 /* A file is there as a whole or not at all. */
@@ -84,17 +93,19 @@ static voxrt_result save_tree(world *w, const voxrt_env *env) {
     return written(w, voxrt_tree_save_file(w->tree, &d, w->fresh), w->tree_file);
 }
 
-static voxrt_result load_tree(world *w, const voxrt_env *env) {
+static voxrt_result memory_load(const voxrt_env *env, const char *path) {
     voxrt_load_desc d;
     voxrt_tree *t = NULL;
     voxrt_result r;
     memset(&d, 0, sizeof d);
     d.env = *env;
-    r = voxrt_tree_load_file(&d, w->tree_file, &t);
+    r = voxrt_tree_load_file(&d, path, &t);
     CHECK((r == VOXRT_OK) == (t != NULL));
     voxrt_tree_destroy(t);
     return r;
 }
+static voxrt_result load_tree(world *w, const voxrt_env *env) { return memory_load(env, w->tree_file); }
+static voxrt_result load_large(world *w, const voxrt_env *env) { return memory_load(env, w->large_file); }
 
 static voxrt_result save_octree(world *w, const voxrt_env *env) {
     return written(w, voxrt_octree_save_file(w->octree, env, w->fresh), w->octree_file);
@@ -288,10 +299,167 @@ static voxrt_result blur(world *w, const voxrt_env *env) {
     return voxrt_blur(&d, &image);
 }
 
+/* A small thing in a large box, in more rows of bricks than one pass sorts; with what normals spread. */
+static voxrt_result build_small(world *w, const voxrt_env *env) {
+    voxrt_build_desc d;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    d.resolution = 512;
+    d.box_min[0] = d.box_min[1] = d.box_min[2] = -52; /* all in one brick */
+    d.box_size = 80;
+    d.spread = 1;
+    r = voxrt_tree_build(&d, &w->mesh, NULL, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    if (r == VOXRT_OK && w->small != NULL) CHECK(voxrt_tree_hash(t) == voxrt_tree_hash(w->small));
+    if (r == VOXRT_OK && w->small == NULL) w->small = t;
+    else voxrt_tree_destroy(t);
+    return r;
+}
+
+static voxrt_result share_and_back(world *w, const voxrt_env *env) {
+    voxrt_tree *s = NULL, *t = NULL;
+    voxrt_result r = voxrt_tree_share(w->small, env, &s);
+    CHECK((r == VOXRT_OK) == (s != NULL));
+    if (r == VOXRT_OK) r = voxrt_tree_unshare(s, env, &t);
+    CHECK((r == VOXRT_OK) == (t != NULL));
+    if (t != NULL) CHECK(voxrt_tree_hash(t) == voxrt_tree_hash(w->small));
+    voxrt_tree_destroy(s);
+    voxrt_tree_destroy(t);
+    return r;
+}
+
+/* Most of it merges. Room that is left over is given back where there is memory for the copy; where there is none, the
+   octree is the same. */
+static voxrt_result octree_of_solid(world *w, const voxrt_env *env) {
+    voxrt_octree_desc d;
+    voxrt_octree *o = NULL;
+    voxrt_tree *t = NULL;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    d.env = *env;
+    r = voxrt_octree_from_tree(&d, w->solid, &o);
+    CHECK((r == VOXRT_OK) == (o != NULL));
+    if (r == VOXRT_OK) CHECK(voxrt_tree_from_octree(NULL, o, &t) == VOXRT_OK && voxrt_tree_hash(t) == voxrt_tree_hash(w->solid));
+    voxrt_tree_destroy(t);
+    voxrt_octree_destroy(o);
+    return r;
+}
+
+/* Cut into pieces: with this limit there is more in it than in a piece. */
+static voxrt_result build_pieces(world *w, const voxrt_env *env) {
+    static const float p[4][3] = {{300, 300, 300}, {356, 300, 302}, {300, 356, 302}, {356, 356, 304}};
+    static const uint32_t corner[6] = {0, 1, 2, 2, 1, 3};
+    voxrt_build_desc d;
+    voxrt_mesh m;
+    memset(&d, 0, sizeof d);
+    memset(&m, 0, sizeof m);
+    m.positions = p[0];
+    m.vertex_count = 4;
+    m.indices = corner;
+    m.triangle_count = 2;
+    d.env = *env;
+    d.env.memory_limit = 1u << 20;
+    d.resolution = 2048;
+    d.box_size = 2048;
+    return written(w, voxrt_paged_build_file(&d, &m, w->fresh, NULL), NULL);
+}
+
+static uint64_t model_hash(const voxrt_model *m) {
+    voxrt_tree *t = NULL;
+    uint64_t hash;
+    CHECK(voxrt_tree_from_model(NULL, m, &t) == VOXRT_OK);
+    hash = voxrt_tree_hash(t);
+    voxrt_tree_destroy(t);
+    return hash;
+}
+
+/* A slab in four blocks; painted with all there is; half a sphere cut out. One that fails has done nothing. */
+static voxrt_result edit_blocks(world *w, const voxrt_env *env) {
+    static const double lo[2][3] = {{-1, -1, 0.1}, {-12, -12, -12}}, hi[2][3] = {{1, 1, 0.3}, {12, 12, 12}};
+    voxrt_model_desc d;
+    voxrt_edit_desc e;
+    voxrt_mesh half = w->mesh;
+    voxrt_model *m = NULL;
+    voxrt_result r;
+    uint32_t i;
+    memset(&d, 0, sizeof d);
+    memset(&e, 0, sizeof e);
+    d.env = e.env = *env;
+    d.depth = 8;
+    d.box_min[0] = d.box_min[1] = d.box_min[2] = -12;
+    d.box_size = 24;
+    half.triangle_count /= 2;
+    r = voxrt_model_create(&d, &m);
+    CHECK((r == VOXRT_OK) == (m != NULL));
+    for (i = 0; i < MEMORY_EDITS && r == VOXRT_OK; i++) {
+        e.op = i == 0 ? VOXRT_EDIT_SET : i == 1 ? VOXRT_EDIT_PAINT : VOXRT_EDIT_CLEAR;
+        e.rgb[i] = 200;
+        r = i == 2 ? voxrt_model_mesh(m, &e, &half, NULL) : voxrt_model_box(m, &e, lo[i], hi[i], NULL);
+        if (w->edited[i + 1] == 0 && r == VOXRT_OK) w->edited[i + 1] = model_hash(m); /* the first time */
+        if (i != 0 && r != VOXRT_OK) CHECK_MSG(model_hash(m) == w->edited[i], "edit %u that failed", i);
+    }
+    if (r == VOXRT_OK) CHECK(model_hash(m) == w->edited[MEMORY_EDITS]);
+    voxrt_model_destroy(m);
+    return r;
+}
+
+/* Every other pixel first, each with its virtual lights. */
+static voxrt_result coarse_lights(world *w, const voxrt_env *env) {
+    enum { COARSE = 16 };
+    static float position[COARSE * COARSE][3], normal[COARSE * COARSE][3], albedo[COARSE * COARSE][3], out[2][COARSE * COARSE][3];
+    static int known;
+    const voxrt_camera c = camera_at(1, 2.5, 1.5);
+    voxrt_gi_render_desc d;
+    voxrt_gbuffer g;
+    voxrt_result r;
+    memset(&d, 0, sizeof d);
+    memset(&g, 0, sizeof g);
+    g.width = g.height = COARSE;
+    g.position = position[0];
+    g.normal = normal[0];
+    g.albedo = albedo[0];
+    CHECK(voxrt_gbuffer_from_gi(NULL, &c, w->gi, &g) == VOXRT_OK);
+    d.env = *env;
+    d.method = VOXRT_GI_VPL;
+    d.pattern = 1;
+    d.coarse = 2;
+    d.rays = 16;
+    r = voxrt_gi_render(&d, w->gi, &g, NULL, out[known][0], NULL);
+    if (r == VOXRT_OK && known) CHECK(memcmp(out[0], out[1], sizeof out[0]) == 0);
+    known |= r == VOXRT_OK;
+    return r;
+}
+
+/* What the larger calls need: a tree with many normals in a file, a filled one, a scene; what comes of calls that are not refused. */
+static void world_more(world *w) {
+    voxrt_build_desc d;
+    voxrt_tree *t = NULL;
+    voxrt_env env;
+    memset(&d, 0, sizeof d);
+    memset(&env, 0, sizeof env);
+    d.env.thread_count = env.thread_count = 1;
+    d.resolution = 150;
+    CHECK(voxrt_tree_build(&d, &w->mesh, NULL, &t) == VOXRT_OK);
+    w->large_file = test_temp_path(".vox");
+    CHECK(voxrt_tree_save_file(t, NULL, w->large_file) == VOXRT_OK);
+    voxrt_tree_destroy(t);
+    d.resolution = 30;
+    d.fill = 1;
+    d.disable_normals = 1;
+    CHECK(voxrt_tree_build(&d, &w->mesh, NULL, &w->solid) == VOXRT_OK);
+    CHECK(scene_of(w, &env, &w->gi) == VOXRT_OK);
+    CHECK(build_small(w, &env) == VOXRT_OK && edit_blocks(w, &env) == VOXRT_OK && coarse_lights(w, &env) == VOXRT_OK);
+    CHECK(w->edited[1] != w->edited[2] && w->edited[2] != w->edited[3]);
+}
+
 static const struct call { const char *name; voxrt_result (*run)(world *w, const voxrt_env *env); uint32_t least; } call[] = {
     {"save a tree", save_tree, 3}, {"load a tree", load_tree, 3}, {"save an octree", save_octree, 1}, {"load an octree", load_octree, 2},
     {"save pages", save_pages, 3}, {"build pages", build_pages, 5}, {"draw pages", draw_pages, 3}, {"points", points, 3}, {"scene", memory_scene, 5},
-    {"model", memory_model, 10}, {"blur", blur, 1}
+    {"model", memory_model, 10}, {"blur", blur, 1}, {"load a large tree", load_large, 5}, {"build what is small", build_small, 20},
+    {"share and back", share_and_back, 10}, {"octree of what is filled", octree_of_solid, 5}, {"build pieces", build_pieces, 20},
+    {"edit blocks", edit_blocks, 20}, {"coarse virtual lights", coarse_lights, 5}
 };
 
 typedef struct one_call { world *w; uint32_t which; } one_call;
@@ -312,6 +480,7 @@ TEST(every_request_refused) {
     one_call c;
     unsigned threads;
     world_open(&w);
+    world_more(&w);
     c.w = &w;
     for (c.which = 0; c.which < sizeof call / sizeof call[0]; c.which++)
         for (threads = 1; threads <= 2; threads++) {

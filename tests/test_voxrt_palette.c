@@ -773,12 +773,13 @@ TEST(many_colors) {
 
 TEST(allocation_failures) {
     int setup;
-    for (setup = 0; setup < 4; setup++) { /* lossless, Oklab in rounds, thesis in rounds, room for LOD */
-        size_t n = setup == 2 ? 24000 : 6000;
+    for (setup = 0; setup < 6; setup++) { /* lossless, Oklab in rounds, thesis in rounds, room for LOD, more than are hashed, none */
+        size_t n = setup == 2 ? 24000 : setup == 4 ? VOXRTI_CSET_HASHED + 1u : setup == 5 ? 0 : 6000;
         uint32_t *rgb = make_colors(n, 0, 8);
-        uint32_t k = setup == 0 ? 6000u : setup == 1 ? 4000u : setup == 2 ? 23000u : 5500u;
+        uint32_t k = setup == 0 ? 6000u : setup == 1 ? 4000u : setup == 2 ? 23000u : setup == 4 ? (uint32_t)n : 5500u, i;
         int64_t f;
         test_alloc ta;
+        for (i = 0; i < n && setup == 4; i++) rgb[i] = i * 251u & 0xffffffu; /* all differ */
         test_alloc_init(&ta);
         for (f = 0; f < 1000; f++) {
             voxrti_mem mem;
@@ -803,7 +804,7 @@ TEST(allocation_failures) {
             test_alloc_check(&ta);
             free(b.index);
         }
-        CHECK(f > 5 && f < 1000);
+        CHECK(f >= (setup == 5 ? 1 : 5) && f < 1000);
         test_alloc_check(&ta);
         free(rgb);
     }

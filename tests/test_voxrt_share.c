@@ -256,6 +256,39 @@ TEST(masks_that_collide) {
     free(to[0]);
 }
 
+/* Fewer of them, so many that they are sorted, with each request refused. */
+TEST(masks_that_collide_without_memory) {
+    enum { COUNT = 1000, DISTINCT = 600 };
+    const uint64_t inverse = 0xf1de83e19937733du; /* as above */
+    uint64_t leaf[COUNT];
+    uint32_t to[COUNT], i;
+    voxrt_result r = VOXRT_ERR_NO_MEMORY;
+    test_alloc ta;
+    int64_t k;
+    for (i = 0; i < COUNT; i++) leaf[i] = (i % DISTINCT + 1) * inverse;
+    for (k = 0; k < 100 && r != VOXRT_OK; k++) {
+        voxrti_mem mem;
+        voxrti_sharer h;
+        voxrt_env env;
+        memset(&env, 0, sizeof env);
+        memset(&h, 0, sizeof h);
+        test_alloc_init(&ta);
+        ta.fail_at = k;
+        env.allocator.alloc_fn = test_alloc_fn;
+        env.allocator.free_fn = test_free_fn;
+        env.allocator.user = &ta;
+        REQUIRE(voxrti_env_open(&env, &mem) == VOXRT_OK);
+        h.mem = &mem;
+        r = voxrti_share_masks(&h, leaf, COUNT, to);
+        CHECK(r == (ta.failed ? VOXRT_ERR_NO_MEMORY : VOXRT_OK));
+        for (i = 0; i < COUNT && r == VOXRT_OK; i++) CHECK(to[i] == i % DISTINCT && h.mask[to[i]] == leaf[i]);
+        CHECK(r != VOXRT_OK || (h.mask_count == DISTINCT && h.mask_capacity == DISTINCT)); /* sorted: no room is left over */
+        voxrti_free(&mem, h.mask);
+        test_alloc_check(&ta);
+    }
+    CHECK(r == VOXRT_OK && k > 5);
+}
+
 /* ---- cells and attributes ---- */
 
 typedef struct seen { voxrt_voxel v; uint32_t index; } seen;
@@ -877,6 +910,7 @@ int main(int argc, char **argv) {
     RUN(what_is_kept);
     RUN(many_masks);
     RUN(masks_that_collide);
+    RUN(masks_that_collide_without_memory);
     RUN(same_cells);
     RUN(same_hits);
     RUN(same_picture_and_octree);
