@@ -899,6 +899,8 @@ group_modes() {
         [ -n "$name" ] || continue
         flags=$(fill "$flags" | tr '\n' ' ')
         if works $cc $flags; then build_and_test modes $name $cc "$flags" ""
+        elif [ "${flags/-m32/}" != "$flags" ] && have qemu-i386 && works_in "$cc $flags" .m32 qemu-i386; then # not every kernel runs them
+            build_and_test modes $name $cc "$flags" "" qemu-i386
         else run_item "modes $name" skip "$cc $flags makes no program here"; fi
     done <<< "$MODES"
 }

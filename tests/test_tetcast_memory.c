@@ -711,6 +711,7 @@ static tetcast_result fit_of_few(world *w, const tetcast_env *env) {
     memset(&p, 0, sizeof p);
     d.env = *env;
     d.max_error = 0.02f;
+    d.method = TETCAST_RBF_METHOD_PURE; /* of the others a lattice may take less */
     p.values.data = value;
     p.components = 1;
     p.dims[0] = p.dims[1] = p.dims[2] = N;
